@@ -1,0 +1,43 @@
+# Two targets are all a newcomer needs: `make run` and `make test`. Each sets up .venv once.
+PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+READY := .venv/.ready
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 12
+
+setup: $(READY)  ## make .venv with the locked dependencies
+
+$(READY): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 to 3.13 (what taichi has wheels for); found none of them" \
+		"(python3 is $$(python3 --version 2>&1)). Install one, or name it: make setup PYTHON=/path/to/python" >&2; exit 2; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $(READY)
+
+run: $(READY)  ## the default scene: record it, draw a filmstrip, print both paths
+	$(BIN)/python -m hoi.run $(ARGS)
+	$(BIN)/python -m analysis.strip runs/kick_soccer_ball/laptop/full/s0/run.mcap
+
+test: $(READY)  ## all tests
+	$(BIN)/python -m pytest -q $(ARGS)
+
+lint: $(READY)  ## ruff and the type checker
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/basedpyright
+
+bench: $(READY)  ## seconds by stage of the default scene
+	$(BIN)/python -m analysis.bench $(ARGS)
+
+table: $(READY)  ## the table of all runs, from their records
+	$(BIN)/python -m analysis.table runs $(ARGS)
+
+sweep: $(READY)  ## all ablations of the default scene
+	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations $(ARGS)
+
+clean:  ## remove the environment and the runs
+	rm -rf .venv runs
+
+.PHONY: help setup run test lint bench table sweep clean

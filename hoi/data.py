@@ -1,0 +1,290 @@
+"""The frozen types that flow from stage to stage. NumPy only, so that reading a record needs no torch.
+
+Conventions, everywhere: SI units, Z up, right-handed, ground at z = 0, radians. Quaternions are wxyz and unit.
+The person starts at the origin facing +Y. `frame` is an index at the scene's frame rate (fractional between frames),
+`time` is in seconds, `step` an MPM substep, `iteration` an optimiser iteration.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class GaussianCloud:
+    """3D Gaussians G_i (paper, Scene Representation)."""
+
+    means: Array
+    """Centres x_i [m], shape (N, 3)."""
+    quaternions: Array
+    """Unit rotations wxyz, shape (N, 4)."""
+    scales: Array
+    """Standard deviations along the rotated axes [m], shape (N, 3). Sigma = R diag(scales^2) R^T."""
+    opacities: Array
+    """Opacity in [0, 1], shape (N,)."""
+    sh: Array
+    """Spherical-harmonics colour coefficients, shape (N, K, 3), K in {1, 4, 9, 16}; see `hoi.gaussians`."""
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A person: Gaussians in the T-pose, bound to the 24 SMPL joints.
+
+    Rest frame as SMPL's: y up, facing +z, the body's left at +x, metres.
+    """
+
+    name: str
+    cloud: GaussianCloud
+    skinning_weights: Array
+    """w_ik, shape (N, 24), rows sum to 1."""
+    rest_joints: Array
+    """T-pose joint positions [m], shape (24, 3)."""
+    source: str = ""
+    """Where it comes from and under which licence."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """X = {(r, omega, theta)} (paper, Human Motion Score Distillation)."""
+
+    translation: Array
+    """World position of the pelvis *joint* r [m], shape (T, 3)."""
+    orientation: Array
+    """omega: first two rows of the pelvis rotation, which maps the rest frame to the world, shape (T, 6)."""
+    body_pose: Array
+    """theta: axis-angle of joints 1..23 relative to their parents [rad], shape (T, 23, 3)."""
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.translation)
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the object is made of."""
+
+    name: str
+    model: str
+    """Constitutive model, see `hoi.mpm`."""
+    youngs_modulus: float
+    """E [Pa]."""
+    poisson_ratio: float
+    """nu [-]."""
+    density: float
+    """rho [kg/m^3]."""
+    restitution: float
+    """Coefficient of restitution e of the impulse [-]."""
+    ground_friction: float
+    """Coulomb coefficient against the ground [-]."""
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """The object at t = 0, in the world frame. Its Gaussians are the first particles; the rest fill the interior."""
+
+    name: str
+    cloud: GaussianCloud
+    particles: Array
+    """Particle positions [m], shape (P, 3); rows 0..N-1 are `cloud.means`."""
+    volumes: Array
+    """Rest volume of each particle [m^3], shape (P,); they sum to the object's volume."""
+    material: Material
+    velocity: Array
+    """Initial linear velocity of the centre of mass [m/s], shape (3,)."""
+    angular_velocity: Array
+    """Initial angular velocity about the centre of mass [rad/s], shape (3,)."""
+    size: float
+    """Largest extent [m]."""
+    notes: tuple[str, ...] = ()
+    """What loading did to it: Gaussians dropped, filled, and why."""
+
+    @property
+    def masses(self) -> Array:
+        """Particle masses [kg], shape (P,)."""
+        return self.volumes * self.material.density
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything fixed before the first stage."""
+
+    name: str
+    body: Body
+    object: SceneObject
+    motion_prompt: str
+    frames: int
+    """T."""
+    fps: float
+    gravity: Array
+    """[m/s^2], shape (3,)."""
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """The MPM state of all particles at one instant."""
+
+    positions: Array
+    """x_p [m], shape (P, 3)."""
+    velocities: Array
+    """v_p [m/s], shape (P, 3)."""
+    affine: Array
+    """APIC velocity gradient C_p [1/s], shape (P, 3, 3)."""
+    deformation_gradient: Array
+    """F_p [-], shape (P, 3, 3)."""
+
+
+@dataclass(frozen=True)
+class ObjectTrajectory:
+    """The object over the frames 0..T-1 (frame t is time t / fps)."""
+
+    positions: Array
+    """All particles [m], shape (T, P, 3)."""
+    com: Array
+    """Centre of mass [m], shape (T, 3)."""
+    com_velocity: Array
+    """Velocity of the centre of mass [m/s], shape (T, 3)."""
+    energy: Array
+    """Kinetic, elastic and potential energy [J], shape (T, 3); potential is 0 at z = 0."""
+    deformation_gradient: Array | None = None
+    """F_p, shape (T, P, 3, 3); None where the mover has none (constant velocity)."""
+    phase: tuple[str, ...] = ()
+    """What moved the object in each frame: "rest", "mpm", "constant_velocity", ..."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where and when contact should happen: j*, t* (paper, Windowed Attraction Loss)."""
+
+    joint: int
+    frame: int
+    chosen_by: str
+    """"velocity profile" or "scene"."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One contact and the momentum transfer it causes (paper, Contact Detection and Re-simulation)."""
+
+    frame: float
+    """t_c, fractional when found between frames."""
+    joint: int
+    """j_c."""
+    fraction: float
+    """Share of the joint's Gaussians within d_contact of the object [-]."""
+    point: Array
+    """Mean position of the touching object Gaussians [m], shape (3,)."""
+    normal: Array
+    """n: unit, from `point` to the centre of mass, shape (3,)."""
+    v_human: Array
+    """V_human [m/s], shape (3,)."""
+    v_object: Array
+    """V_obj just before [m/s], shape (3,)."""
+    v_in: float
+    """(V_human - V_obj) . n [m/s]; not positive when separating."""
+    v_post: Array
+    """V_post [m/s], shape (3,); equal to `v_object` when no impulse is given."""
+    impulse: Array
+    """m (V_post - V_obj) [N s], shape (3,)."""
+    gap: float
+    """Smallest distance between the joint's Gaussians and the object's at t_c [m]."""
+
+
+@dataclass(frozen=True)
+class ContactSearch:
+    """The outcome of looking for contact, also when none is found."""
+
+    contacts: tuple[Contact, ...]
+    smallest_gap: float
+    """Over all joints and frames [m]."""
+    smallest_gap_frame: float
+    smallest_gap_joint: int
+
+    @property
+    def push(self) -> Contact | None:
+        """The contact that gave an impulse; None when nothing did."""
+        return next((contact for contact in self.contacts if contact.v_in > 0), None)
+
+
+@dataclass(frozen=True)
+class State:
+    """What the stages write, one after the other."""
+
+    motion: Motion | None = None
+    trajectory: ObjectTrajectory | None = None
+    target: Target | None = None
+    contact: ContactSearch | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One kept step of a plan."""
+
+    name: str
+    implementation: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Omission:
+    """One thing a plan leaves out, and what that saves."""
+
+    what: str
+    because: str
+    saves: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """A number the plan worked out before the run (CFL, memory, ...)."""
+
+    name: str
+    value: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    variant: str
+    """Label for tables, derived from the steps: "full", "no_mpm", "no_mpm+no_video_sds", ..."""
+    steps: tuple[Step, ...]
+    omissions: tuple[Omission, ...]
+    checks: tuple[Check, ...]
+
+    def keeps(self, name: str) -> bool:
+        """Whether the step of this name is kept."""
+        return any(step.name == name for step in self.steps)
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """How one step went."""
+
+    stage: str
+    seconds: float
+    iterations: int = 0
+    numbers: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Run:
+    """A whole run: exactly what `hoi.record` writes and reads."""
+
+    config_yaml: str
+    provenance: dict[str, str]
+    """Seed, config hash, git commit, versions, device, threads, input hashes, command line, start time."""
+    result: dict[str, str]
+    """status ("done" | "failed"), outcome, total seconds, peak memory, ..."""
+    plan: Plan
+    reports: tuple[StageReport, ...]
+    history: tuple[dict[str, float | str], ...]
+    """One row an optimiser iteration: stage, iteration, losses."""
+    scene: Scene | None
+    state: State

@@ -1,0 +1,71 @@
+"""What a record says of where it comes from: config hash, versions, device, input files."""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from hoi.config import Config, HMSDConf
+
+PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "hydra-core", "omegaconf", "transformers")
+NOT_HASHED = ("out", "overwrite", "plan_only")
+"""Keys that do not change what is computed."""
+
+
+def config_hash(composed: DictConfig) -> str:
+    """sha256 over the resolved config and hoi's version."""
+    values: Any = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
+    kept = {key: value for key, value in values.items() if key not in NOT_HASHED}
+    text = json.dumps([version("hoi"), kept], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> dict[str, str]:
+    """Facts known before the run starts, as text."""
+    facts = {
+        "seed": str(config.seed),
+        "config_hash": config_hash(composed),
+        "overrides": " ".join(o for o in overrides if not o.startswith("out=")),
+        "scene": config.scene.name,
+        "ablation": config.ablation.value,
+        "experiment": config.experiment,
+        "git": _git_state(),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpus": str(os.cpu_count()),
+        "threads": str(config.threads or os.cpu_count()),
+        "device": config.device.value,
+    }
+    facts.update({f"version.{name}": version(name) for name in PACKAGES})
+    motion = config.stage.motion
+    inputs = {
+        "object.path": config.object.path,
+        "human.path": config.human.path,
+        "human.skinning": config.human.skinning,
+        "stage.motion.checkpoint": motion.checkpoint if isinstance(motion, HMSDConf) else None,
+    }
+    for name, path in inputs.items():
+        if path is not None and Path(path).is_file():
+            facts[f"sha256.{name}"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return facts
+
+
+def _git_state() -> str:
+    """Commit of the checkout hoi runs from, with "+dirty" when it has changes; empty for an installed package."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return ""
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(root), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+    return git("rev-parse", "HEAD") + ("+dirty" if git("status", "--porcelain", "--untracked-files=no") else "")

@@ -1,0 +1,113 @@
+"""Every option composes, the paper's numbers stand where they should, and bad values are named."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, WindowedConf, to_config
+from hoi.errors import InputError
+from hoi.run import _one_line
+
+GROUPS = ["human", "object", "material", "scene", "experiment", "ablation"]
+GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir())]
+EXTRA = {
+    "object=from_file": ["object.path=thing.ply", "object.size=0.3"],
+    "human=avatar": ["human.path=avatar.ply"],
+}
+OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_every_option_composes(composed, option):
+    assert to_config(composed(option, *EXTRA.get(option, []))).seed == 0
+
+
+def test_the_papers_numbers(composed):
+    config = to_config(composed("experiment=paper"))
+    motion, coordinate = config.stage.motion, config.stage.coordinate
+    assert isinstance(motion, HMSDConf)
+    assert (motion.iterations, motion.learning_rate, motion.guidance) == (100, 0.005, 7.5)
+    assert (motion.t_min, motion.t_max) == (0, 100)
+    assert (coordinate.iterations, coordinate.learning_rate, coordinate.lambda_hmsd) == (200, 0.005, 10.0)
+    attraction = config.stage.attraction
+    assert isinstance(attraction, WindowedConf)
+    assert (attraction.lambda_attr, attraction.sigma, attraction.target.value) == (1.0, 2.0, "com")
+    contact = config.stage.contact
+    assert isinstance(contact, ImpulseConf)
+    assert (contact.tau, contact.distance) == (0.05, 0.01)
+    material = config.material
+    assert (material.youngs_modulus, material.poisson_ratio, material.restitution) == (1e7, 0.45, 0.6)
+    mover = config.stage.object
+    assert isinstance(mover, MPMConf)
+    assert (mover.grid, mover.dt) == (64, 4e-5)
+    assert mover.dt * 1250 == pytest.approx(1 / config.scene.fps)
+    assert (config.scene.frames, config.scene.fps) == (40, 20)
+
+
+def test_an_object_brings_its_material_and_the_command_line_beats_it(composed):
+    assert to_config(composed("object=basketball")).material.name == "basketball"
+    assert to_config(composed("object=basketball", "material=foam")).material.name == "foam"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["object.size=0"], "object.size must be greater than 0 [m], got 0"),
+        (["object.size=nan"], "object.size must be finite, got nan"),
+        (["object.up=y"], "object.up must be one of +x, -x, +y, -y, +z, -z, got y"),
+        (["scene.gravity=[0,0]"], "scene.gravity must be a list of 3 numbers, got [0.0, 0.0]"),
+        (["scene.placement.position=[null,1,1]"], "scene.placement.position must be numbers in x and y"),
+        (["scene.expected_limb=tail"], "scene.expected_limb must be one of left_foot"),
+        (["scene.striking_limb=tail"], "scene.striking_limb must be null or one of left_foot"),
+        (["scene.contact_frame=40"], "scene.contact_frame must be in [0, 39], got 40"),
+        (["stage.contact.tau=0"], "stage.contact.tau must be in (0, 1], got 0"),
+        (["stage.object.limit_fraction=1.5"], "stage.object.limit_fraction must be in (0, 1], got 1.5"),
+        (["stage.object.grid=32"], "stage.object must be given either cells_across or both domain and grid"),
+        (["object=from_file"], "object.size: no value given"),
+        (["object=from_file", "object.size=1"], "object.path must be the path of a 3DGS file, got None"),
+        (["human=avatar"], "human.path must be the path of a 3DGS PLY file, got None"),
+    ],
+)
+def test_bad_values_are_named(composed, overrides, message):
+    with pytest.raises(InputError) as caught:
+        to_config(composed(*overrides))
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("device=tpu", ["device", "tpu", "auto"]),
+        ("ablation=no_fun", ["ablation", "no_fun", "no_mpm"]),
+        ("scene.frame=3", ["frame", "scene"]),
+        ("material.youngs_modulus=stiff", ["youngs_modulus", "stiff"]),
+        ("stage.motion.iterations=1.5", ["iterations", "1.5"]),
+    ],
+)
+def test_composition_errors_become_one_line(composed, override, words):
+    with pytest.raises((HydraException, OmegaConfBaseException)) as caught:
+        composed(override)
+    line = _one_line(caught.value)
+    assert "\n" not in line
+    assert all(word in line for word in words), line
+
+
+def test_front_door_imports_nothing_heavy():
+    heavy = ["torch", "taichi", "mcap", "transformers", "matplotlib", "trimesh", "scipy", "pandas"]
+    code = f"import sys, hoi.run, hoi.plan; print([m for m in {heavy} if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"
+
+
+def test_sweeps_compose(composed, tmp_path):
+    root = Path(__file__).parents[1]
+    for sweep in (root / "sweeps").glob("*.yaml"):
+        command = [sys.executable, "-m", "hoi.run", "--config-dir", str(sweep.parent), "--config-name", sweep.stem]
+        done = subprocess.run([*command, "plan_only=true"], capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count("variant ") >= 2

@@ -1,0 +1,126 @@
+"""Each omission both ways, the derived label, and what is refused before anything heavy is imported."""
+
+import subprocess
+import sys
+
+import pytest
+
+from hoi.config import to_config
+from hoi.errors import InputError
+from hoi.plan import format_plan, make_plan
+
+
+@pytest.fixture
+def plan(composed):
+    return lambda *overrides: make_plan(to_config(composed(*overrides)))
+
+
+def omitted(plan) -> set[str]:
+    return {omission.what for omission in plan.omissions}
+
+
+@pytest.mark.parametrize(
+    ("ablation", "variant", "without"),
+    [
+        ("full", "no_video_sds", set()),
+        ("no_video_sds", "no_video_sds", set()),
+        ("no_attraction", "no_attraction+no_video_sds", {"attraction"}),
+        ("no_contact", "no_contact+no_video_sds", {"contact"}),
+        ("no_mdm", "no_mdm+no_video_sds", {"motion"}),
+        ("no_mpm", "no_mpm+no_video_sds", {"MPM"}),
+    ],
+)
+def test_each_ablation_leaves_out_its_part(plan, ablation, variant, without):
+    """Stage 3 is not built: a full run says that it goes without."""
+    made = plan(f"ablation={ablation}")
+    assert made.variant == variant
+    assert without | {"refine"} <= omitted(made)
+    for part in {"attraction", "contact", "motion", "MPM"} - without:
+        assert part not in omitted(made) or (ablation == "no_contact" and part == "MPM")
+
+
+def test_label_that_contradicts_the_ablation_is_refused(plan):
+    with pytest.raises(InputError, match=r"ablation=no_mpm contradicts .* runs with the MPM"):
+        plan("ablation=no_mpm", "stage/object=mpm")
+
+
+def test_full_claims_nothing(plan):
+    assert plan("ablation=full", "stage/object=constant_velocity").variant == "no_mpm+no_video_sds"
+
+
+def test_no_weight_on_attraction_is_no_attraction(plan):
+    assert "no_attraction" in plan("stage.attraction.lambda_attr=0").variant
+
+
+@pytest.mark.parametrize(
+    ("override", "simulated"),
+    [
+        ("seed=0", False),
+        ("scene.placement.position=[0,2,1]", True),
+        ("scene.placement.velocity=[1,0,0]", True),
+        ("scene.placement.angular_velocity=[0,0,1]", True),
+        ("object.stable=false", True),
+        ("stage.object.skip_rest=false", True),
+    ],
+)
+def test_free_motion_of_a_still_object_is_left_out(plan, override, simulated):
+    made = plan(override)
+    assert made.keeps("free_motion") is simulated
+    assert ("free_motion" in omitted(made)) is not simulated
+
+
+def test_nothing_to_simulate_needs_no_mpm(plan):
+    made = plan("ablation=no_contact")
+    assert "MPM" in omitted(made)
+    assert made.checks == ()
+
+
+def test_paper_settings_are_within_the_limit(plan):
+    made = plan("material=paper", "stage/object=mpm_paper")
+    checks = {check.name: check for check in made.checks}
+    assert 0.5 < float(checks["cfl"].value) < 0.6
+    assert float(checks["steps"].value) == 50_000
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["material.poisson_ratio=0.5"], "material.poisson_ratio must lie in (-1, 0.5), got 0.5"),
+        (["material.youngs_modulus=-1"], "material.youngs_modulus"),
+        (["material.density=0"], "material.density"),
+        (["stage.object.dt=0.01"], "dt must be at most"),
+        (["stage.motion.checkpoint=nowhere"], "stage.motion.checkpoint: no such file or folder: nowhere"),
+    ],
+)
+def test_refused_before_the_run(plan, overrides, message):
+    with pytest.raises(InputError) as caught:
+        plan(*overrides)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_printed_plan(plan):
+    text = format_plan(plan("ablation=no_mpm"))
+    lines = text.splitlines()
+    assert lines[0] == "variant no_mpm+no_video_sds"
+    assert [line.split()[:3] for line in lines[1:6]] == [
+        ["RUN", "free_motion", "constant_velocity"],
+        ["RUN", "motion", "hmsd"],
+        ["RUN", "coordinate", "adam"],
+        ["RUN", "contact", "impulse"],
+        ["RUN", "resimulate", "constant_velocity"],
+    ]
+    assert any(line.split()[:2] == ["OMIT", "MPM"] for line in lines)
+
+
+def test_planning_is_light():
+    """plan_only decides without torch or taichi."""
+    code = (
+        "import sys; sys.argv = ['hoi.run', 'plan_only=true', 'hydra.run.dir=.']\n"
+        "from hoi.run import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "print([m for m in ('torch', 'taichi', 'mcap', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
