@@ -1,0 +1,191 @@
+"""From a name or a file to an object in the scene: metric, Z up, filled, placed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hoi.data import Array, GaussianCloud, Material, SceneObject
+from hoi.errors import InputError
+from hoi.gaussians import load_clean, transform
+from hoi.objects import cleaning, shapes
+from hoi.objects.filling import Filling, fill_cloud, fill_mesh
+
+MAX_GAUSSIANS = 60_000
+GROUND_TOLERANCE = 1e-4
+"""How deep a particle may lie below z = 0 at the start [m]."""
+
+UP = {
+    "+z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "+y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "+x": np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]),
+    "-x": np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]),
+}
+"""A file's up axis -> the rotation that brings it to +z. The x axis stays where it is, unless it is the one."""
+
+
+@dataclass(frozen=True)
+class LoadedObject:
+    """An object on its own: metres, Z up, bounding box of its Gaussians centred at the origin."""
+
+    name: str
+    cloud: GaussianCloud
+    particles: Array
+    """[m], (P, 3); the first rows are `cloud.means`."""
+    volumes: Array
+    """[m^3], (P,)."""
+    size: float
+    """Largest extent [m]."""
+    notes: tuple[str, ...]
+    """What loading did, one line each."""
+
+
+def load_builtin(
+    shape: str, spacing: float, size: float | None = None, max_gaussians: int = MAX_GAUSSIANS
+) -> LoadedObject:
+    """A built-in object.
+
+    Args:
+        shape: a name in `hoi.objects.shapes.SHAPES`.
+        spacing: distance between interior particles [m], about half a cell of the simulation's grid.
+        size: largest extent [m]; the object's own by default.
+        max_gaussians: more than this are thinned.
+
+    Raises:
+        InputError: unknown shape, size not positive, spacing that does not fit the size.
+    """
+    if shape not in shapes.SHAPES:
+        raise InputError(f"object shape {shape!r}: unknown; allowed are {', '.join(sorted(shapes.SHAPES))}")
+    kind = shapes.SHAPES[shape]
+    size = max(kind.extent) if size is None else size
+    _check_lengths(size, spacing)
+    surface = shapes.build(kind, size)
+    cloud, thinned = cleaning.thin(surface.cloud, max_gaussians)
+    filling = fill_mesh(cloud.means.astype(np.float64), surface.vertices, surface.faces, spacing)
+    return _assemble(shape, cloud, filling, size, thinned)
+
+
+def load_file(
+    path: Path, size: float, up: str, spacing: float, max_gaussians: int = MAX_GAUSSIANS, name: str | None = None
+) -> LoadedObject:
+    """A 3DGS object from a file, cleaned (see `hoi.objects.cleaning`).
+
+    Args:
+        path: see `hoi.gaussians.read_gaussians`.
+        size: largest extent of the cleaned object [m]; files are not metric.
+        up: the file's up axis, a key of `UP`: "-y" for most captures and Trellis, "+z" for many exports.
+        spacing: distance between interior particles [m], about half a cell of the simulation's grid.
+        max_gaussians: more than this are thinned.
+
+    Raises:
+        InputError: the file cannot be used, unknown up axis, size not positive, spacing that does not fit the size.
+    """
+    path = Path(path)
+    if up not in UP:
+        raise InputError(f"object up axis {up!r}: unknown; allowed are {', '.join(UP)}")
+    if max_gaussians < 1:
+        raise InputError(f"object max_gaussians {max_gaussians}: must be at least 1")
+    _check_lengths(size, spacing)
+    cloud, notes = load_clean(path)
+    try:
+        cloud, cleaned = cleaning.clean(cloud)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    cloud, thinned = cleaning.thin(cloud, max_gaussians)
+    lower, upper = cloud.means.min(0).astype(np.float64), cloud.means.max(0).astype(np.float64)
+    scale = size / (upper - lower).max()
+    cloud = transform(cloud, UP[up], scale, -scale * UP[up] @ (lower + upper) / 2)
+    return _assemble(name or path.stem, cloud, fill_cloud(cloud, spacing), size, [*notes, *cleaned, *thinned])
+
+
+def place(
+    loaded: LoadedObject,
+    material: Material,
+    position: Sequence[float | None] = (0.0, 1.0, None),
+    yaw: float = 0.0,
+    orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+    velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+) -> SceneObject:
+    """Put an object into the world at t = 0.
+
+    Args:
+        position: where the centre of its bounding box goes [m]; a z of None sets it down on the ground.
+        yaw: turn about the vertical [rad], after `orientation`.
+        orientation: quaternion wxyz of any length.
+        velocity: of the centre of mass [m/s].
+        angular_velocity: about the centre of mass [rad/s].
+
+    Raises:
+        InputError: a value is not finite or of the wrong length, or the object would start below the ground.
+    """
+    x, y, z = _vector("position", [0.0 if i == 2 and v is None else v for i, v in enumerate(position)], 3)
+    on_ground = position[2] is None
+    quaternion = _vector("orientation", orientation, 4)
+    if not quaternion.any():
+        raise InputError("object orientation (0, 0, 0, 0): a quaternion wxyz must not be zero")
+    (heading,) = _vector("yaw", [yaw], 1)
+    rotation = (Rotation.from_euler("z", heading) * Rotation.from_quat(quaternion, scalar_first=True)).as_matrix()
+    turned = loaded.particles @ rotation.T
+    means = turned[: len(loaded.cloud)]
+    lower, upper = means.min(0), means.max(0)
+    translation = np.array([x, y, z]) - (lower + upper) / 2
+    if on_ground:
+        translation[2] = -turned[:, 2].min()
+    cloud = transform(loaded.cloud, rotation, 1.0, translation)
+    particles = np.concatenate([cloud.means, turned[len(cloud) :] + translation]).astype(np.float32)
+    placed = SceneObject(
+        name=loaded.name,
+        cloud=cloud,
+        particles=particles,
+        volumes=loaded.volumes,
+        material=material,
+        velocity=_vector("velocity", velocity, 3),
+        angular_velocity=_vector("angular_velocity", angular_velocity, 3),
+        size=loaded.size,
+        notes=loaded.notes,
+    )
+    check_above_ground(placed)
+    return placed
+
+
+def check_above_ground(placed: SceneObject) -> None:
+    """Raise InputError when the object starts below z = 0."""
+    lowest = float(placed.particles[:, 2].min())
+    if lowest < -GROUND_TOLERANCE:
+        raise InputError(
+            f"object position: {placed.name} would start {-lowest:.3g} m below the ground; raise z by that, "
+            "or leave z empty to set it down on the ground"
+        )
+
+
+def _assemble(name: str, cloud: GaussianCloud, filling: Filling, size: float, notes: list[str]) -> LoadedObject:
+    particles = np.concatenate([cloud.means, filling.interior]).astype(np.float32)
+    filled = (
+        f"{len(cloud)} Gaussians, {len(filling.interior)} particles inside, {filling.volumes.sum():.3g} m^3 solid, "
+        f"{filling.enclosed:.0%} of it within a closed surface"
+    )
+    return LoadedObject(name, cloud, particles, filling.volumes.astype(np.float32), float(size), (*notes, filled))
+
+
+def _check_lengths(size: float, spacing: float) -> None:
+    if not (np.isfinite(size) and size > 0):
+        raise InputError(f"object size {size}: must be a positive length in metres")
+    if not (np.isfinite(spacing) and 0 < spacing <= size / 4):
+        raise InputError(
+            f"particle spacing {spacing}: must be positive and at most a quarter of the size, {size / 4:g}"
+        )
+
+
+def _vector(field: str, values: Sequence[float | None], length: int) -> Array:
+    try:
+        vector = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        vector = np.full(1, np.nan)
+    if vector.shape != (length,) or not np.isfinite(vector).all():
+        raise InputError(f"object {field} {values}: must be {length} finite number{'s' * (length > 1)}")
+    return vector
