@@ -1,0 +1,175 @@
+"""The time step's limit, and the extreme list: every case ends in a result or a named error, never in a silent NaN."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpm_bodies import DX, RUBBER, block
+
+from hoi.data import Material, ObjectState
+from hoi.errors import InputError, RunError
+from hoi.mpm.solver import simulate
+from hoi.mpm.stability import STABLE_CFL, cfl_number, choose_time_step, time_step_limit
+from hoi.mpm.state import energies, initial_state
+
+PAPER = Material("paper", "fixed_corotated", 1e7, 0.45, 1000.0, 0.6, 0.5)
+
+
+def cube(lowest: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    return block((0.15, 0.15, 0.15), DX / 2, lowest)
+
+
+def shaking(material: Material, cfl: float, steps: int) -> tuple[float, float]:
+    """Energy before and after `steps` steps at this CFL number of a cube with random velocities of 1e-3 c."""
+    x, volumes = cube()
+    dt = cfl / cfl_number(material, DX, 1.0)
+    start = initial_state(x, volumes, [0, 0, 0])
+    noise = 1e-3 * DX * cfl / dt * np.random.default_rng(0).normal(size=x.shape)
+    start = replace(start, velocities=noise)
+    result = simulate(start, volumes, material, dx=DX, dt=dt, times=[steps * dt], gravity=(0, 0, 0), ground=False)
+    return energies(start, volumes, material, DX, np.zeros(3)).sum(), result.energy[-1].sum()
+
+
+def test_paper_setting_is_allowed() -> None:
+    """E = 1e7, 64 cells over 2 m, dt = 4e-5: CFL 0.25 at 1000 kg/m^3, 0.56 at 200, both below the limit."""
+    light = replace(PAPER, density=200.0)
+    assert cfl_number(PAPER, 2 / 64, 4e-5) == pytest.approx(0.25, abs=0.005)
+    assert cfl_number(light, 2 / 64, 4e-5) == pytest.approx(0.56, abs=0.005)
+    for material in (PAPER, light):
+        assert choose_time_step(material, 2 / 64, 10.0, dt=4e-5) == 4e-5
+
+
+def test_chosen_step_is_half_the_limit() -> None:
+    assert choose_time_step(PAPER, DX, 5.0) == 0.5 * time_step_limit(PAPER, DX, 5.0)
+    assert cfl_number(PAPER, DX, time_step_limit(PAPER, DX, 5.0), 5.0) == pytest.approx(STABLE_CFL)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"dt": 4e-5, "dx": 0.007}, r"stage.object.dt must be at most 2.\d+e-05 s for paper \(wave speed 195 m/s\)"),
+        ({"dt": 0.0}, "stage.object.dt must be positive"),
+        ({"dt": float("nan")}, "stage.object.dt must be positive"),
+        ({"dx": 0.0}, "mpm dx must be positive"),
+        ({"speed": float("inf")}, "mpm speed must be"),
+        ({"fraction": 1.5}, "fraction"),
+    ],
+)
+def test_bad_steps_are_refused(arguments: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        choose_time_step(**{"material": PAPER, "dx": DX, "speed": 0.0} | arguments)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.3, 0.45, 0.499])
+@pytest.mark.parametrize("youngs_modulus", [1e3, 1e9])
+def test_limit_is_stable(poisson_ratio: float, youngs_modulus: float) -> None:
+    """At the limit itself the energy of a shaken cube does not grow in 400 steps."""
+    material = replace(RUBBER, poisson_ratio=poisson_ratio, youngs_modulus=youngs_modulus)
+    before, after = shaking(material, STABLE_CFL, 400)
+    assert 0 < after < before
+
+
+def test_explosion_is_found() -> None:
+    """Forced to twice the limit the run ends in an error that says so, not in NaN."""
+    with pytest.raises(RunError, match=r"frame 0, step \d+: .* diverged \(CFL .*\): use a smaller time step"):
+        shaking(PAPER, 2 * STABLE_CFL, 2000)
+
+
+@pytest.mark.parametrize("density", [0.1, 1e4])
+def test_extreme_densities_run(density: float) -> None:
+    x, volumes = cube(0.0)
+    material = replace(RUBBER, density=density)
+    dt = choose_time_step(material, DX, 5.0)
+    result = simulate(initial_state(x, volumes, [0, 0, -2]), volumes, material, dx=DX, dt=dt, times=[100 * dt])
+    assert np.isfinite(result.energy).all()
+
+
+@pytest.mark.parametrize("positions", [[[0, 0, 0.3]], [[0.1, 0.2, 0.3]] * 5, [[0, 0, 0]]])
+def test_few_particles(positions: list[list[float]]) -> None:
+    """One particle, or several in one place, fly and land like any other body."""
+    x = np.array(positions, dtype=float)
+    start = initial_state(x, np.ones(len(x)), [1, 0, 0])
+    result = simulate(start, np.full(len(x), 1e-5), RUBBER, dx=DX, dt=5e-4, times=[0.02, 0.5])
+    assert result.states[-1].positions[:, 2].min() > -0.5 * DX
+    if x[0, 2] > 0:
+        assert result.com[0, 2] == pytest.approx(0.3 - 9.81 * 0.02**2 / 2, abs=1e-6)
+
+
+def test_impact_faster_than_the_waves() -> None:
+    """Thrown at the ground at twice the wave speed: a result without NaN, or a named divergence."""
+    x, volumes = cube(0.1)
+    speed = 2 * RUBBER_SPEED
+    start = initial_state(x, volumes, [0, 0, -speed])
+    dt = choose_time_step(RUBBER, DX, speed)
+    try:
+        result = simulate(start, volumes, RUBBER, dx=DX, dt=dt, times=[200 * dt])
+    except RunError as error:
+        assert "diverged" in str(error)
+    else:
+        assert np.isfinite(result.energy).all()
+
+
+RUBBER_SPEED = cfl_number(RUBBER, 1.0, 1.0)
+
+
+def test_faster_than_a_cell_a_step() -> None:
+    x, volumes = cube()
+    with pytest.raises(RunError, match="crosses more than a cell per step"):
+        simulate(initial_state(x, volumes, [1e4, 0, 0]), volumes, RUBBER, dx=DX, dt=1e-3, times=[0.1])
+
+
+def test_body_in_pieces_is_an_error_not_a_huge_grid() -> None:
+    x = np.array([[0, 0, 1], [1e3, 1e3, 1e3]], dtype=float)
+    with pytest.raises(RunError, match="the object spans"):
+        simulate(initial_state(x, np.ones(2), [0, 0, 0]), np.full(2, 1e-5), RUBBER, dx=DX, dt=1e-3, times=[0.1])
+
+
+@pytest.mark.parametrize("field", ["positions", "velocities", "affine", "deformation_gradient"])
+def test_nan_input_is_refused(field: str) -> None:
+    x, volumes = cube()
+    start = initial_state(x, volumes, [0, 0, 0])
+    getattr(start, field)[3] = np.nan
+    with pytest.raises(InputError, match=f"object state {field} must be finite, got .* for particle 3"):
+        simulate(start, volumes, RUBBER, dx=DX, dt=1e-4, times=[0.1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"times": []}, "times"),
+        ({"times": [0.2, 0.1]}, "times"),
+        ({"times": [-0.1]}, "times"),
+        ({"dt": 0.0}, "dt must be positive"),
+        ({"dx": float("nan")}, "dx must be positive"),
+        ({"gravity": (0, 0)}, "gravity"),
+        ({"precision": "float16"}, "precision"),
+        ({"threads": 0}, "threads"),
+        ({"device": "tpu"}, "device"),
+        ({"volumes": np.zeros(216)}, "volumes"),
+        ({"state": ObjectState(*(np.zeros((0, 3)),) * 2, *(np.zeros((0, 3, 3)),) * 2)}, "no particles"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, object], message: str) -> None:
+    x, volumes = cube()
+    arguments = {"state": initial_state(x, volumes, [0, 0, 0]), "volumes": volumes, "material": RUBBER}
+    arguments |= {"dx": DX, "dt": 1e-4, "times": [0.1]} | change
+    with pytest.raises(InputError, match=message):
+        simulate(**arguments)  # pyright: ignore[reportArgumentType]
+
+
+def test_inverted_input_is_refused() -> None:
+    x, volumes = cube()
+    start = initial_state(x, volumes, [0, 0, 0])
+    start.deformation_gradient[0] *= -1
+    with pytest.raises(InputError, match="det F > 0"):
+        simulate(start, volumes, RUBBER, dx=DX, dt=1e-4, times=[0.1])
+
+
+def test_times_of_any_spacing_are_met_exactly() -> None:
+    """0, a fraction of a frame, less than a step, then a frame: the steps fit the intervals."""
+    x, volumes = cube()
+    times = [0.0, 0.0123, 0.01231, 0.05]
+    start = initial_state(x, volumes, [1, 0, 0])
+    result = simulate(start, volumes, RUBBER, dx=DX, dt=1e-3, times=times, gravity=(0, 0, 0), precision="float64")
+    assert result.steps == 13 + 1 + 38
+    np.testing.assert_allclose(result.com[:, 0] - result.com[0, 0], times, atol=1e-12)
