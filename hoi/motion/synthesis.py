@@ -1,0 +1,70 @@
+"""Stage 1: the person's motion from the sentence alone (paper, Agent Motion Synthesis)."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hoi.body.skinning import joint_paths, stand_motion
+from hoi.config import HMSDConf, MotionInit
+from hoi.data import Motion, Scene
+from hoi.motion import features
+from hoi.motion.distillation import PoseParameters, ScoreDistillation, leg_length, optimise
+from hoi.motion.prior import load_prior
+from hoi.progress import Stage
+from hoi.streams import stream_seed
+
+
+def load_distillation(scene: Scene, conf: HMSDConf, device: str) -> ScoreDistillation:
+    """The motion prior, made ready for this scene's prompt and person."""
+    prior = load_prior(Path(conf.checkpoint) if conf.checkpoint else None, device)
+    body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
+    standing = joint_paths(scene.body, stand_motion(scene.body, 1, scene.fps))
+    return ScoreDistillation(
+        prior=prior,
+        text=prior.encode_text([scene.motion_prompt]),
+        leg_ratio=float(leg_length(prior.rest_joints) / body_leg),
+        sole_height=float(standing[0, :, 2].min()),
+        guidance=conf.guidance,
+        rescale=conf.guidance_rescale,
+        t_min=conf.t_min,
+        t_max=min(conf.t_max, prior.timesteps),
+    )
+
+
+def synthesise(
+    scene: Scene, distillation: ScoreDistillation, conf: HMSDConf, seed: int, device: str, stage: Stage
+) -> Motion:
+    """N_init iterations of L_HMSD from a sample of the prior or from the standing pose."""
+    start = stand_motion(scene.body, scene.frames, scene.fps)
+    if conf.init is MotionInit.sample:
+        start = sample_motion(scene, distillation, conf.sample_guidance, seed)
+    pose = PoseParameters.of(start, device)
+    generator = torch.Generator().manual_seed(stream_seed(seed, "motion"))
+    optimise(
+        pose,
+        lambda: {"hmsd": distillation.loss(pose, generator)},
+        {"hmsd": 1.0},
+        conf.iterations,
+        conf.learning_rate,
+        stage.iteration,
+    )
+    return pose.motion(scene.fps)
+
+
+def sample_motion(scene: Scene, distillation: ScoreDistillation, guidance: float, seed: int) -> Motion:
+    """One motion drawn from the prior, on this body, from the origin facing +Y."""
+    generator = torch.Generator().manual_seed(stream_seed(seed, "sample"))
+    raw = distillation.prior.sample(scene.motion_prompt, scene.frames, guidance, generator)
+    translation, orientation, body_pose = features.decode(raw)
+    lift = np.array([0.0, 0.0, distillation.sole_height], dtype=np.float32)
+    motion = Motion(
+        (translation / distillation.leg_ratio).cpu().numpy() + lift,
+        orientation.cpu().numpy(),
+        body_pose.cpu().numpy(),
+        scene.fps,
+    )
+    if not all(math.isfinite(float(np.abs(values).max())) for values in (motion.translation, motion.body_pose)):
+        raise RuntimeError("the motion prior's sample is not finite")
+    return motion
