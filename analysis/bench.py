@@ -1,0 +1,60 @@
+"""Seconds by stage of a scene, from recorded runs: `python -m analysis.bench [--runs 3] [-- overrides]`.
+
+Each run is a process of its own; the first warms the caches (compiled kernels, prompt features) and is not counted.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+
+from hoi.errors import InputError
+from hoi.record import read
+
+
+def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
+    """One row a stage: median, least and most seconds over `runs` runs, iterations, and the rows "total" and "memory".
+
+    Raises:
+        InputError: a run did not end well.
+    """
+    rows: list[dict[str, float | str]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(runs + 1):
+            out = Path(folder) / str(number)
+            command = [sys.executable, "-m", "hoi.run", *overrides, f"out={out}"]
+            done = subprocess.run(command, capture_output=True, text=True)
+            if done.returncode != 0:
+                raise InputError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
+            if number == 0:
+                continue
+            run = read(out / "run.mcap")
+            rows += [{"stage": r.stage, "seconds": r.seconds, "iterations": r.iterations} for r in run.reports]
+            rows.append({"stage": "total", "seconds": float(run.result["seconds"]), "iterations": 0})
+            rows.append({"stage": "peak memory [MB]", "seconds": float(run.result["peak_memory_mb"]), "iterations": 0})
+    grouped = pd.DataFrame(rows).groupby("stage", sort=False)
+    table = grouped["seconds"].agg(["median", "min", "max"])
+    table["iterations"] = grouped["iterations"].max()
+    return table.reset_index()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m analysis.bench", description="Seconds by stage of a scene.")
+    parser.add_argument("--runs", type=int, default=3, help="counted runs (default 3)")
+    parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
+    arguments = parser.parse_args()
+    try:
+        table = measure(max(arguments.runs, 1), arguments.overrides)
+    except InputError as error:
+        print(f"analysis.bench: {error}", file=sys.stderr)
+        sys.exit(2)
+    print(f"{' '.join(arguments.overrides) or 'default scene'}: {arguments.runs} runs, {os.cpu_count()} CPU cores")
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+
+
+if __name__ == "__main__":
+    main()

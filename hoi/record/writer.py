@@ -1,0 +1,184 @@
+"""Run -> MCAP."""
+
+import errno
+import heapq
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from mcap.writer import Writer
+
+from hoi.body.skeleton import JOINT_NAMES
+from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run
+from hoi.errors import InputError, RunError
+from hoi.record.parts import history_to_csv, scene_files, to_json
+from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, ObjectState, array_fields, channels
+from hoi.record.views import timestamp, views
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_MEDIA_TYPES = {".yaml": "application/yaml", ".txt": "text/plain", ".json": "application/json", ".csv": "text/csv"}
+
+Message = tuple[int, str, bytes]
+"""Time [ns], topic, data."""
+
+
+def write(
+    run: Run,
+    path: Path,
+    human_points: Array | None = None,
+    human_colours: Array | None = None,
+    *,
+    plan_text: str,
+    object_stride: int = 1,
+) -> None:
+    """Write the whole run to `path`: under `path` + ".part" first, renamed when it is complete.
+
+    Args:
+        run: what to write, but for `state.object_states`; a failed run has a scene and a state as far as it came.
+        path: the record; an older one is replaced.
+        human_points: posed Gaussian means to look at [m], shape (T, M, 3), world; usually thinned out.
+        human_colours: their colours in [0, 1], shape (M, 3).
+        plan_text: the plan as it was printed.
+        object_stride: every which of the object's Gaussians to show in `/object/points`; `/object/state` has them all.
+
+    Raises:
+        InputError: the path cannot be written to.
+        RunError: the disk is full or broken.
+        ValueError: a state without a scene, or points without colours.
+    """
+    state = run.state
+    if run.scene is None and any(part is not None for part in (state.motion, state.trajectory, state.contact)):
+        raise ValueError("a run without a scene can have no state")
+    if (human_points is None) != (human_colours is None):
+        raise ValueError("human_points and human_colours go together")
+    with _whole_file(path) as file:
+        writer = Writer(file)
+        writer.start(library="hoi")
+        writer.add_metadata("hoi.record", {"format": FORMAT})
+        writer.add_metadata("hoi.run", run.provenance)
+        before = {
+            "config.yaml": run.config_yaml.encode(),
+            "plan.txt": plan_text.encode(),
+            "plan.json": to_json(run.plan),
+        }
+        if run.scene is not None:
+            before |= scene_files(run.scene)
+        _attach(writer, before)
+        channel = channels(writer)
+        for time, topic, data in _messages(run, human_points, human_colours, object_stride):
+            writer.add_message(channel(topic), time, data, publish_time=time)
+        _attach(writer, {"state.json": to_json(_facts(run)), "reports.json": to_json(run.reports)})
+        _attach(writer, {"history.csv": history_to_csv(run.history)})
+        writer.add_metadata("hoi.result", run.result)
+        writer.finish()
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[IO[bytes]]:
+    part = path.with_name(path.name + ".part")
+    try:
+        with open(part, "wb") as file:
+            try:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+                os.replace(part, path)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+    except OSError as error:
+        if error.errno in _FULL:
+            raise RunError(f"cannot write {path}: {error.strerror}; free some space or set out elsewhere") from error
+        raise InputError(
+            f"cannot write {path}: {error.strerror}; out must be a folder that can be written to"
+        ) from error
+
+
+def _attach(writer: Writer, files: dict[str, bytes]) -> None:
+    for name, data in files.items():
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        writer.add_attachment(0, 0, name, media_type, data)
+
+
+def _facts(run: Run) -> dict:
+    """What of the state fits in no message: which parts there are, and the little facts about them."""
+    state = run.state
+    motion, trajectory, search = state.motion, state.trajectory, state.contact
+    dtypes = {} if motion is None else {name: getattr(motion, name).dtype.str for name in MOTION_ARRAYS}
+    return {
+        "motion": None if motion is None else {"fps": motion.fps, "frames": len(motion), "dtypes": dtypes},
+        "trajectory": None if trajectory is None else {"frames": len(trajectory.positions)},
+        "target": state.target,
+        "contact": None
+        if search is None
+        else {
+            "contacts": len(search.contacts),
+            "smallest_gap": search.smallest_gap,
+            "smallest_gap_frame": search.smallest_gap_frame,
+            "smallest_gap_joint": search.smallest_gap_joint,
+        },
+    }
+
+
+def _messages(run: Run, points: Array | None, colours: Array | None, object_stride: int) -> Iterator[Message]:
+    """All messages in the order of their times; each stream is in order already."""
+    if run.scene is None:
+        return iter(())
+    state, fps = run.state, run.scene.fps
+    counts = [
+        0 if state.motion is None else len(state.motion),
+        0 if state.trajectory is None else len(state.trajectory.positions),
+        0 if points is None else len(points),
+    ]
+    times = [_nanoseconds(frame, fps) for frame in range(max(counts))]
+    streams = [views(run, times, points, colours, object_stride)]
+    if state.motion is not None:
+        streams.append(_motion(state.motion, times))
+    if state.trajectory is not None:
+        streams.append(_trajectory(state.trajectory, times))
+    if state.contact is not None:
+        streams.append(_contacts(state.contact.contacts, fps))
+    return heapq.merge(*streams, key=lambda message: message[0])
+
+
+def _nanoseconds(frame: float, fps: float) -> int:
+    return round(frame / fps * 1e9)
+
+
+def _motion(motion: Motion, times: list[int]) -> Iterator[Message]:
+    for frame, time in zip(range(len(motion)), times, strict=False):
+        arrays = {name: getattr(motion, name)[frame].ravel() for name in MOTION_ARRAYS}
+        yield time, "/human/motion", to_json({"time": time / 1e9, **arrays})
+
+
+def _trajectory(trajectory: ObjectTrajectory, times: list[int]) -> Iterator[Message]:
+    for frame, time in zip(range(len(trajectory.positions)), times, strict=False):
+        arrays = {name: getattr(trajectory, name) for name in OBJECT_ARRAYS}
+        phase = trajectory.phase[frame] if trajectory.phase else ""
+        message = ObjectState(
+            timestamp=timestamp(time),
+            phase=phase,
+            **{name: array_fields(array[frame]) for name, array in arrays.items() if array is not None},
+        )
+        yield time, "/object/state", message.SerializeToString(deterministic=True)
+        kinetic, elastic, potential = trajectory.energy[frame].tolist()
+        energy = {
+            "time": time / 1e9,
+            "kinetic": kinetic,
+            "elastic": elastic,
+            "potential": potential,
+            "total": kinetic + elastic + potential,
+            "speed": float(np.linalg.norm(trajectory.com_velocity[frame])),
+            "phase": phase,
+        }
+        yield time, "/object/energy", to_json(energy)
+
+
+def _contacts(contacts: tuple[Contact, ...], fps: float) -> Iterator[Message]:
+    for contact in sorted(contacts, key=lambda contact: contact.frame):
+        time = _nanoseconds(contact.frame, fps)
+        facts = {f: getattr(contact, f) for f in contact.__dataclass_fields__}
+        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": JOINT_NAMES[contact.joint], **facts})
