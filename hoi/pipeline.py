@@ -1,0 +1,163 @@
+"""The method, stage by stage (paper, Method), over a plan; and its record."""
+
+import resource
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hoi import movers
+from hoi.body.skeleton import JOINT_NAMES, LIMBS
+from hoi.body.skinning import joint_paths, posed_means, stand_motion
+from hoi.config import Config, Device, HMSDConf, ImpulseConf
+from hoi.contact import find_contact
+from hoi.coordination import coordinate, find_target
+from hoi.data import Array, Plan, Run, Scene, State
+from hoi.errors import InputError, RunError
+from hoi.gaussians import colours
+from hoi.plan import format_plan
+from hoi.progress import Stages
+from hoi.record import write
+from hoi.scene import build_scene
+
+
+def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages) -> Iterator[State]:
+    """Yields the state after each stage: object alone, human alone, human meets object, object answers."""
+    move = movers.mover(config, device)
+    motion = stand_motion(scene.body, scene.frames, scene.fps)
+
+    # Agent Motion Synthesis: the object's free motion ...
+    with stages.stage("free motion", scene.frames - 1) as stage:
+        trajectory, states = movers.free_motion(scene, move if plan.keeps("free_motion") else movers.at_rest, stage)
+    yield (state := State(motion=motion, trajectory=trajectory))
+
+    # ... and the human's, distilled from the motion prior.
+    distillation = None
+    if isinstance(config.stage.motion, HMSDConf):
+        from hoi.motion.synthesis import load_distillation, synthesise
+
+        with stages.stage("motion", config.stage.motion.iterations) as stage:
+            distillation = load_distillation(scene, config.stage.motion, device)
+            motion = synthesise(scene, distillation, config.stage.motion, config.seed, device, stage)
+        yield (state := replace(state, motion=motion))
+
+    # Physically-Aware Interaction Synthesis: windowed attraction ...
+    target = find_target(scene, motion, config)
+    if plan.keeps("coordinate"):
+        with stages.stage("coordinate", config.stage.coordinate.iterations) as stage:
+            motion = coordinate(scene, motion, trajectory, target, distillation, config, device, stage)
+    yield (state := replace(state, motion=motion, target=target))
+
+    # ... contact detection and re-simulation.
+    contact = config.stage.contact
+    if isinstance(contact, ImpulseConf):
+        with stages.stage("contact", 1):
+            search = find_contact(
+                scene.body,
+                motion,
+                joint_paths(scene.body, motion),
+                trajectory,
+                len(scene.object.cloud),
+                mass=float(scene.object.masses.sum()),
+                restitution=scene.object.material.restitution,
+                tau=contact.tau,
+                distance=contact.distance,
+                between_frames=contact.between_frames,
+            )
+        yield (state := replace(state, contact=search))
+        if (push := search.push) is not None:
+            with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:
+                trajectory = movers.resimulate(scene, trajectory, states, push, move, stage)
+            yield replace(state, trajectory=trajectory)
+
+
+def run(config: Config, plan: Plan, path: Path, config_yaml: str, provenance: dict[str, str]) -> Run:
+    """Walk the method and record it at `path`.
+
+    Raises:
+        RunError: the run failed; what it had is recorded at `run.failed.mcap` beside `path`.
+    """
+    started = time.perf_counter()
+    device = pick_device(config.device)
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    scene = build_scene(config)
+    stages = Stages()
+    state = State()
+    failure: RunError | None = None
+    try:
+        for after_stage in method(config, plan, scene, device, stages):
+            state = after_stage
+    except (RunError, MemoryError, torch.OutOfMemoryError) as error:
+        failure = error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
+    result = {
+        "status": "failed" if failure else "done",
+        "outcome": str(failure) if failure else outcome(config, state),
+        "variant": plan.variant,
+        "device": device,
+        "seconds": repr(time.perf_counter() - started),
+        "peak_memory_mb": repr(peak_memory_mb()),
+    }
+    finished = Run(config_yaml, provenance, result, plan, tuple(stages.reports), tuple(stages.history), scene, state)
+    if failure:
+        path = path.with_name("run.failed.mcap")
+    write(finished, path, *viewing_points(scene, state, config.human_points), plan_text=format_plan(plan))
+    for line in (*scene.object.notes, summary(result)):
+        print(line, file=sys.stderr)
+    if failure:
+        raise failure
+    return finished
+
+
+def outcome(config: Config, state: State) -> str:
+    """What happened, in one sentence."""
+    search = state.contact
+    if search is None:
+        return "no contact looked for"
+    push = search.push
+    if push is None:
+        separating = " (touched while separating)" if search.contacts else ""
+        joint = JOINT_NAMES[search.smallest_gap_joint]
+        where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
+        return f"no contact{separating}: smallest gap {where}"
+    expected = push.joint in LIMBS[config.scene.expected_limb]
+    limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
+    speed = float(np.linalg.norm(push.v_post))
+    return f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+
+
+def summary(result: dict[str, str]) -> str:
+    seconds, memory = float(result["seconds"]), float(result["peak_memory_mb"])
+    return f"{result['variant']}: {result['outcome']}; {seconds:.1f} s, {memory:.0f} MB"
+
+
+def viewing_points(scene: Scene, state: State, count: int) -> tuple[Array | None, Array | None]:
+    """A decimated posed person for the viewers: points (T, M, 3) [m], colours (M, 3) in [0, 1]; None without motion."""
+    if state.motion is None:
+        return None, None
+    chosen = np.linspace(0, len(scene.body.cloud) - 1, min(count, len(scene.body.cloud))).astype(int)
+    return posed_means(scene.body, state.motion, subset=chosen), colours(scene.body.cloud)[chosen]
+
+
+def pick_device(wanted: Device) -> str:
+    """ "cpu" or "cuda", for torch and Taichi alike.
+
+    Raises:
+        InputError: cuda was asked for and there is none.
+    """
+    if wanted is Device.cpu:
+        return "cpu"
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted is Device.cuda:
+        raise InputError("device=cuda: no CUDA device found; use device=auto or device=cpu")
+    return "cpu"
+
+
+def peak_memory_mb() -> float:
+    """Highest resident memory of this process so far [MB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3

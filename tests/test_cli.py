@@ -1,0 +1,173 @@
+"""The front door, as a user meets it: runs, repeats, ablations, bad input, interruption."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.metrics import post_impact_error
+from hoi.record import message_digest, read
+
+SMOKE = ["experiment=smoke"]
+
+
+def hoi(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "hoi.run", *arguments], capture_output=True, text=True, cwd=cwd)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """record(ablation) -> the smoke run of an ablation, computed once."""
+    folder, done = tmp_path_factory.mktemp("runs"), {}
+
+    def record(ablation: str):
+        if ablation not in done:
+            out = folder / ablation
+            result = hoi(*SMOKE, f"ablation={ablation}", f"out={out}", cwd=folder)
+            assert result.returncode == 0, result.stderr
+            done[ablation] = (read(out / "run.mcap"), out, result)
+        return done[ablation]
+
+    return record
+
+
+def push(run):
+    return run.state.contact.push
+
+
+def test_default_scene_kicks_the_ball(runs):
+    run, out, result = runs("full")
+    assert run.result["status"] == "done"
+    assert run.plan.variant == "no_video_sds"
+    assert sorted(file.name for file in out.iterdir()) == ["run.mcap"]
+    assert str(out / "run.mcap") in result.stdout
+    contact = push(run)
+    assert contact is not None
+    assert contact.joint in (8, 11), "the right foot should strike"
+
+
+def test_ball_leaves_with_v_post(runs):
+    """Within 2% of the formula, at the first frame after the impulse."""
+    run, *_ = runs("full")
+    assert post_impact_error(run, np.empty((0, 0, 3))) < 0.02
+
+
+def test_same_seed_same_bytes(runs, tmp_path):
+    _, out, _ = runs("full")
+    again = hoi(*SMOKE, f"out={tmp_path}", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert message_digest(tmp_path / "run.mcap") == message_digest(out / "run.mcap")
+
+
+def test_finished_run_is_not_computed_again(runs):
+    _, out, _ = runs("full")
+    before = (out / "run.mcap").stat().st_mtime_ns
+    again = hoi(*SMOKE, "ablation=full", f"out={out}", cwd=out)
+    assert again.returncode == 0
+    assert "already computed" in again.stdout
+    assert (out / "run.mcap").stat().st_mtime_ns == before
+    other = hoi(*SMOKE, "seed=7", f"out={out}", cwd=out)
+    assert other.returncode == 2
+    assert "overwrite=true" in other.stderr
+
+
+def test_without_attraction_it_misses(runs):
+    run, *_ = runs("no_attraction")
+    full, *_ = runs("full")
+    assert push(run) is None
+    assert run.state.contact.smallest_gap > full.state.contact.smallest_gap + 0.05
+
+
+def test_without_contact_the_ball_ignores_the_hit(runs):
+    run, *_ = runs("no_contact")
+    full, *_ = runs("full")
+    assert run.state.contact is None
+    np.testing.assert_array_equal(run.state.motion.body_pose, full.state.motion.body_pose)  # paired ablations
+    com = run.state.trajectory.com
+    np.testing.assert_allclose(com, np.tile(com[0], (len(com), 1)), atol=1e-6)
+
+
+def test_without_mpm_it_moves_on_a_straight_line(runs):
+    run, *_ = runs("no_mpm")
+    contact = push(run)
+    assert contact is not None
+    after = run.state.trajectory.com[int(np.ceil(contact.frame)) :]
+    steps = np.diff(after, axis=0)
+    np.testing.assert_allclose(steps, np.tile(contact.v_post / run.scene.fps, (len(steps), 1)), atol=1e-6)
+    assert run.state.trajectory.deformation_gradient is None
+
+
+def test_without_mdm_it_moves_only_around_the_contact_frame(runs):
+    run, *_ = runs("no_mdm")
+    pose = run.state.motion.body_pose
+    target = run.state.target
+    assert target.chosen_by == "scene"
+    moved = np.abs(pose - pose[0]).max(axis=(1, 2)) > 1e-6
+    near = np.abs(np.arange(len(pose)) - target.frame) <= 6
+    assert moved[target.frame]
+    assert not moved[~near].any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["ablation=no_fun"], ["ablation", "no_fun"]),
+        (["object.size=-1"], ["object.size", "-1"]),
+        (["object=from_file", "object.path=missing.ply", "object.size=0.3"], ["missing.ply"]),
+        (["scene.placement.position=[0,0.05,0.5]"], ["scene.placement", "inside the person"]),
+        (["scene.placement.position=[0,2,0.01]"], ["ground"]),
+        (["out=/dev/null/runs"], ["/dev/null"]),
+        (["stage.object.dt=0.5"], ["stage.object.dt must be at most"]),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, tmp_path):
+    done = hoi(*SMOKE, *([] if arguments[0].startswith("out=") else ["out=here"]), *arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    errors = [line for line in done.stderr.splitlines() if line.startswith("hoi:")]
+    assert len(errors) == 1
+    assert all(word in errors[0] for word in words), errors
+    assert "Traceback" not in done.stderr
+    assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+def test_broken_object_file(tmp_path):
+    (tmp_path / "cut.splat").write_bytes(b"\0" * 100)
+    done = hoi(*SMOKE, "object=from_file", "object.path=cut.splat", "object.size=0.3", "out=here", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "cut.splat" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_interrupt_leaves_nothing_that_looks_complete(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hoi.run", "out=here"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "here").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert not list((tmp_path / "here").iterdir())
+
+
+@pytest.mark.parametrize("name", ["plant.splat", "spot_10k.splat"])
+def test_captured_object(name, shared_objects, tmp_path):
+    size = "0.5" if name.startswith("plant") else "0.4"
+    done = hoi(
+        *SMOKE, "object=from_file", f"object.path={shared_objects / name}", f"object.size={size}", "out=here",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = read(tmp_path / "here" / "run.mcap")
+    assert np.isfinite(run.state.trajectory.positions).all()
+    assert run.state.trajectory.positions[..., 2].min() > -0.05
+
+
+def test_runs_outside_the_checkout(tmp_path):
+    assert hoi("plan_only=true", cwd=tmp_path).returncode == 0
