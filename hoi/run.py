@@ -67,12 +67,13 @@ def _make_folder(folder: Path) -> None:
 
 def _one_line(error: BaseException) -> str:
     """Hydra's and OmegaConf's messages without their stack of context lines."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    message = str(error).partition("Config search path")[0]
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
     cause = error.__cause__ or error.__context__
     if isinstance(error, HydraException) and isinstance(cause, OmegaConfBaseException):
         return _one_line(cause)
     key = getattr(error, "full_key", None)
-    text = "; ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
+    text = " ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
     return f"{key}: {text}" if key and key not in text else text
 
 
