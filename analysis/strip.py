@@ -58,9 +58,11 @@ class Film:
 
     @property
     def contact(self) -> Contact | None:
-        """The first contact."""
+        """The contact that pushed the object, else the first touch."""
         search = self.run.state.contact
-        return search.contacts[0] if search is not None and search.contacts else None
+        if search is None or not search.contacts:
+            return None
+        return search.push or search.contacts[0]
 
 
 def load(path: Path) -> Film:
@@ -135,8 +137,13 @@ def make_strip(film: Film, path: Path, count: int = 8, view: str = "three_quarte
     for axes, frame in zip(panels, chosen, strict=True):
         _panel(axes, film, camera, frame, np.concatenate(radii), contact if frame == struck else None)
     _speeds(chart, film, chosen)
-    figure.text(0.008, 0.985, _title(film.run), va="top", fontsize=13, color=INK, weight="bold")
-    figure.text(0.992, 0.985, _outcome(film), va="top", ha="right", fontsize=12, color=MUTED)
+    words = [
+        figure.text(0.008, 0.985, _title(film.run), va="top", fontsize=13, color=INK, weight="bold"),
+        figure.text(0.992, 0.985, _outcome(film), va="top", ha="right", fontsize=12, color=MUTED),
+    ]
+    crowding = sum(text.get_window_extent().width for text in words) / (0.97 * figure.bbox.width)
+    for text in words:
+        text.set_fontsize(text.get_fontsize() / max(crowding, 1.0))
     try:
         figure.savefig(path, dpi=DPI)
     except OSError as error:
