@@ -14,9 +14,10 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from hoi.config import CONF, Config, register, to_config
+from hoi.config import CONF, Config, register
 from hoi.errors import InputError, RunError
 from hoi.plan import format_plan, make_plan
+from hoi.validate import to_config
 
 
 def execute(composed: DictConfig, overrides: list[str]) -> None:

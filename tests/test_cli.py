@@ -143,7 +143,11 @@ def test_broken_object_file(tmp_path):
 
 def test_interrupt_leaves_nothing_that_looks_complete(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "hoi.run", "out=here"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "hoi.run", "out=here"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job inherits it as ignored
     )
     deadline = time.monotonic() + 60
     while not (tmp_path / "here").exists() and time.monotonic() < deadline:

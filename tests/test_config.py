@@ -8,9 +8,10 @@ import pytest
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, WindowedConf, to_config
+from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, WindowedConf
 from hoi.errors import InputError
 from hoi.run import _one_line
+from hoi.validate import to_config
 
 GROUPS = ["human", "object", "material", "scene", "experiment", "ablation"]
 GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir())]

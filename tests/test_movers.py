@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hoi import movers, pipeline
-from hoi.config import to_config
 from hoi.data import Contact
 from hoi.errors import RunError
 from hoi.plan import make_plan
 from hoi.progress import Stages
 from hoi.record import read
 from hoi.scene import build_scene
+from hoi.validate import to_config
 
 SMALL = ["human.gaussians=1000", "scene.frames=8", "scene.contact_frame=4"]
 COARSE = "stage.object.cells_across=6"

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from hoi.config import to_config
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
+from hoi.validate import to_config
 
 
 @pytest.fixture

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from hoi.body.skinning import joint_paths, posed_means
-from hoi.config import HMSDConf, to_config
+from hoi.config import HMSDConf
 from hoi.motion.synthesis import load_distillation, sample_motion
 from hoi.scene import build_scene
 from hoi.streams import stream_seed
+from hoi.validate import to_config
 
 
 @pytest.mark.parametrize("person", ["man", "child"])
