@@ -143,7 +143,7 @@ def make_strip(film: Film, path: Path, count: int = 8, view: str = "three_quarte
     ]
     crowding = sum(text.get_window_extent().width for text in words) / (0.97 * figure.bbox.width)
     for text in words:
-        text.set_fontsize(text.get_fontsize() / max(crowding, 1.0))
+        text.set_fontsize(float(text.get_fontsize()) / max(crowding, 1.0))
     try:
         figure.savefig(path, dpi=DPI)
     except OSError as error:
