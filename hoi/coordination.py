@@ -9,7 +9,7 @@ from torch import Tensor
 from hoi.attraction import attraction_loss, carried_strike, choose_target, meeting_frame, window
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
 from hoi.body.skinning import joint_paths, posed_means
-from hoi.config import AttractionTarget, Config, WindowedConf
+from hoi.config import AttractionTarget, Config, HMSDConf, WindowedConf
 from hoi.data import Array, Motion, ObjectTrajectory, Scene, Target
 from hoi.motion.distillation import PoseParameters, ScoreDistillation, optimise
 from hoi.progress import Stage
@@ -18,7 +18,7 @@ from hoi.streams import stream_seed
 
 def find_target(scene: Scene, motion: Motion, config: Config) -> Target:
     """j* and t* from the motion's velocity profile, or from the scene where no prior moved the person (w/o MDM)."""
-    if config.stage.motion.kind.value == "none":
+    if not isinstance(config.stage.motion, HMSDConf):
         return Target(JOINT_NAMES.index(config.scene.contact_joint), config.scene.contact_frame, "scene")
     limb = config.scene.striking_limb
     return choose_target(joint_paths(scene.body, motion), LIMBS[limb] if limb else range(JOINT_COUNT))

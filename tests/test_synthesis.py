@@ -5,6 +5,7 @@ import pytest
 
 from hoi.body.skinning import joint_paths, posed_means
 from hoi.config import HMSDConf
+from hoi.errors import RunError
 from hoi.motion.synthesis import load_distillation, sample_motion
 from hoi.scene import build_scene
 from hoi.streams import stream_seed
@@ -37,3 +38,11 @@ def test_streams_are_named_and_stable():
     seeds = {stream_seed(seed, name) for seed in range(3) for name in ("sample", "motion", "coordinate")}
     assert len(seeds) == 9
     assert all(0 <= seed < 2**63 for seed in seeds)
+
+
+def test_sample_that_is_not_finite_fails_the_run(composed):
+    config = to_config(composed("human.gaussians=2000"))
+    scene, conf = build_scene(config), config.stage.motion
+    assert isinstance(conf, HMSDConf)
+    with pytest.raises(RunError, match="not finite; lower"):
+        sample_motion(scene, load_distillation(scene, conf, "cpu"), guidance=float("inf"), seed=0)

@@ -1,6 +1,5 @@
 """Stage 1: the person's motion from the sentence alone (paper, Agent Motion Synthesis)."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import torch
 from hoi.body.skinning import joint_paths, stand_motion
 from hoi.config import HMSDConf, MotionInit
 from hoi.data import Motion, Scene
+from hoi.errors import RunError
 from hoi.motion import features
 from hoi.motion.distillation import PoseParameters, ScoreDistillation, leg_length, optimise
 from hoi.motion.prior import load_prior
@@ -54,7 +54,11 @@ def synthesise(
 
 
 def sample_motion(scene: Scene, distillation: ScoreDistillation, guidance: float, seed: int) -> Motion:
-    """One motion drawn from the prior, on this body, from the origin facing +Y."""
+    """One motion drawn from the prior, on this body, from the origin facing +Y.
+
+    Raises:
+        RunError: the prior's sample is not finite.
+    """
     generator = torch.Generator().manual_seed(stream_seed(seed, "sample"))
     raw = distillation.prior.sample(scene.motion_prompt, scene.frames, guidance, generator)
     translation, orientation, body_pose = features.decode(raw)
@@ -65,6 +69,8 @@ def sample_motion(scene: Scene, distillation: ScoreDistillation, guidance: float
         body_pose.cpu().numpy(),
         scene.fps,
     )
-    if not all(math.isfinite(float(np.abs(values).max())) for values in (motion.translation, motion.body_pose)):
-        raise RuntimeError("the motion prior's sample is not finite")
+    if not all(np.isfinite(values).all() for values in (motion.translation, motion.orientation, motion.body_pose)):
+        raise RunError(
+            "the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior"
+        )
     return motion
