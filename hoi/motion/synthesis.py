@@ -70,7 +70,5 @@ def sample_motion(scene: Scene, distillation: ScoreDistillation, guidance: float
         scene.fps,
     )
     if not all(np.isfinite(values).all() for values in (motion.translation, motion.orientation, motion.body_pose)):
-        raise RunError(
-            "the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior"
-        )
+        raise RunError("the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior")
     return motion
