@@ -6,6 +6,7 @@ From the record alone: no torch, no taichi.
 """
 
 import argparse
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -258,10 +259,19 @@ def _title(run: Run) -> str:
     return f"“{run.scene.motion_prompt}”  ·  {run.scene.name}  ·  {run.plan.variant}"
 
 
+def _velocity_after(film: Film, contact: Contact) -> Array:
+    """The object's velocity when the contact is over: V_post, or where the limb took its time, what became of it."""
+    trajectory = film.run.state.trajectory
+    if contact.duration == 0 or trajectory is None:
+        return contact.v_post
+    over = math.ceil(contact.frame + contact.duration * film.fps)
+    return trajectory.com_velocity[min(over, len(trajectory.com_velocity) - 1)]
+
+
 def _outcome(film: Film) -> str:
     contact, search = film.contact, film.run.state.contact
     if contact is not None:
-        speed = float(np.linalg.norm(contact.v_post - contact.v_object))
+        speed = float(np.linalg.norm(_velocity_after(film, contact) - contact.v_object))
         joint = JOINT_NAMES[contact.joint].replace("_", " ")
         return f"{joint}, closing speed {contact.v_in:.1f} m/s, object sped up by {speed:.1f} m/s"
     if search is not None:

@@ -6,6 +6,7 @@ Defaults live in `conf/`, not here: a field without a value there is an error at
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
@@ -43,6 +44,17 @@ class ObjectKind(StrEnum):
 class MaterialModel(StrEnum):
     fixed_corotated = "fixed_corotated"
     neo_hookean = "neo_hookean"
+    von_mises = "von_mises"
+    viscoplastic = "viscoplastic"
+    drucker_prager = "drucker_prager"
+    snow = "snow"
+    fluid = "fluid"
+
+
+class PlaneContact(StrEnum):
+    coulomb = "coulomb"
+    slip = "slip"
+    stick = "stick"
 
 
 class MotionKind(StrEnum):
@@ -68,6 +80,11 @@ class AttractionTarget(StrEnum):
 class ContactKind(StrEnum):
     impulse = "impulse"
     none = "none"
+
+
+class ContactModel(StrEnum):
+    impulse = "impulse"
+    collider = "collider"
 
 
 class MoverKind(StrEnum):
@@ -102,6 +119,28 @@ class HumanConf:
 
 
 @dataclass
+class BoxConf:
+    """A box in the object's own frame, in units of its size: the whole object lies within [-0.5, 0.5]^3.
+
+    The frame is the one that `up` makes, Z up, before the object is turned and placed; its origin is the centre of the
+    object's bounding box.
+    """
+
+    centre: list[float] = MISSING
+    half_size: list[float] = MISSING
+
+
+@dataclass
+class RegionConf:
+    """A part of the object that is made of something else."""
+
+    box: BoxConf = field(default_factory=BoxConf)
+    material: Any = MISSING
+    """A name in conf/material, or a mapping: of what differs from the object's own material, or a whole one if it names
+    a `model`. `hoi.validate` puts the `MaterialConf` here."""
+
+
+@dataclass
 class ObjectConf:
     """The object, before it is placed."""
 
@@ -119,11 +158,13 @@ class ObjectConf:
     """Stays where it is when put on the ground: its motion at rest need not be simulated."""
     max_gaussians: int = MISSING
     """A larger cloud is thinned to this."""
+    regions: list[RegionConf] = field(default_factory=list)
+    """Parts of other materials; where they overlap, the later one holds."""
 
 
 @dataclass
 class MaterialConf:
-    """See `hoi.data.Material`."""
+    """See `hoi.data.Material`. What has a value here is for some models only; `hoi.mpm.materials` says for which."""
 
     name: str = MISSING
     model: MaterialModel = MISSING
@@ -132,6 +173,14 @@ class MaterialConf:
     density: float = MISSING
     restitution: float = MISSING
     ground_friction: float = MISSING
+    yield_stress: float | None = None
+    """[Pa]; null never yields."""
+    hardening: float = 0.0
+    viscosity: float = 0.0
+    friction_angle: float = 0.0
+    """[rad]."""
+    critical_compression: float = 0.0
+    critical_stretch: float = 0.0
 
 
 @dataclass
@@ -197,14 +246,20 @@ class ContactConf:
 
 @dataclass
 class ImpulseConf(ContactConf):
-    """Contact detection and the impulse it gives."""
+    """Contact detection and what it does to the object."""
 
+    model: ContactModel = MISSING
+    """The paper's impulse, or the striking limb as a moving obstacle in the MPM."""
     tau: float = MISSING
     """tau_contact: least share of a joint's Gaussians that touch."""
     distance: float = MISSING
     """d_contact [m]."""
     between_frames: bool = MISSING
     """Look between frames too, so that a fast strike cannot pass through unseen."""
+    friction: float = MISSING
+    """Coulomb coefficient between limb and object, for model=collider."""
+    samples: int = MISSING
+    """Times a frame at which the limb's place is computed, for model=collider; straight lines in between."""
 
 
 @dataclass
@@ -226,8 +281,10 @@ class MPMConf(MoverConf):
     limit_fraction: float = MISSING
     """Fraction of the stability limit that a chosen dt takes."""
     precision: Precision = MISSING
-    skip_rest: bool = MISSING
-    """Leave out the simulation of an object that lies still."""
+    phases: bool = MISSING
+    """Leave out the steps that the motion does not need: rest, and flight between contacts."""
+    vibration_tolerance: float = MISSING
+    """Amplitude of the vibration, and way crept, that `phases` may leave out, relative to the object's size."""
 
 
 @dataclass
@@ -260,10 +317,25 @@ class PlacementConf:
     """Centre of the object's bounding box [m]; a z of null puts it on the ground."""
     yaw: float = 0.0
     """Turn about Z [rad]."""
+    orientation: list[float] = field(default_factory=lambda: [1.0, 0.0, 0.0, 0.0])
+    """Turn before that: quaternion wxyz of any length."""
     velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     """[m/s]."""
     angular_velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     """[rad/s]."""
+
+
+@dataclass
+class PlaneConf:
+    """A wall that the object cannot enter; see `hoi.data.Plane`."""
+
+    point: list[float] = MISSING
+    """[m]."""
+    normal: list[float] = MISSING
+    """Into the free side, of any length."""
+    contact: PlaneContact = PlaneContact.coulomb
+    friction: float | None = None
+    """Coulomb coefficient; null takes material.ground_friction."""
 
 
 @dataclass
@@ -282,6 +354,10 @@ class SceneConf:
     """[1/s]."""
     gravity: list[float] = MISSING
     """[m/s^2]."""
+    ground: bool = True
+    """Whether the half-space z < 0 is solid, with the material's ground_friction."""
+    planes: list[PlaneConf] | None = None
+    """Walls beside the ground."""
     placement: PlacementConf = field(default_factory=PlacementConf)
     striking_limb: str | None = None
     """The limb that j* is chosen from; null takes all joints, as the paper does."""

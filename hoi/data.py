@@ -5,6 +5,7 @@ The person starts at the origin facing +Y. `frame` is an index at the scene's fr
 `time` is in seconds, `step` an MPM substep, `iteration` an optimiser iteration.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -83,6 +84,32 @@ class Material:
     """Coefficient of restitution e of the impulse [-]."""
     ground_friction: float
     """Coulomb coefficient against the ground [-]."""
+    yield_stress: float = math.inf
+    """Stress at which a plastic solid flows [Pa]."""
+    hardening: float = 0.0
+    """How much flowing hardens it [-]; what it means depends on the model."""
+    viscosity: float = 0.0
+    """Of the plastic flow or of the fluid [Pa s]."""
+    friction_angle: float = 0.0
+    """Of grains against each other [rad]."""
+    critical_compression: float = 0.0
+    """Snow: a singular value of F below 1 minus this has broken [-]."""
+    critical_stretch: float = 0.0
+    """Snow: a singular value of F above 1 plus this has broken [-]."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A solid half-space: the ground or a wall."""
+
+    point: Array
+    """A point of its surface [m], shape (3,)."""
+    normal: Array
+    """Unit normal into the free side, shape (3,)."""
+    contact: str = "coulomb"
+    """"coulomb", "slip" (no friction) or "stick" (nothing slides)."""
+    friction: float = 0.0
+    """Coulomb coefficient, for contact "coulomb" [-]."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +131,21 @@ class SceneObject:
     """Largest extent [m]."""
     notes: tuple[str, ...] = ()
     """What loading did to it: Gaussians dropped, filled, and why."""
+    other_materials: tuple[Material, ...] = ()
+    """Materials of its other regions."""
+    region: NDArray[np.int32] | None = None
+    """Index of each particle's material in `materials`, shape (P,); None: all of `material`."""
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """All materials; `material` is the first, and the one whose restitution an impulse takes."""
+        return (self.material, *self.other_materials)
 
     @property
     def masses(self) -> Array:
         """Particle masses [kg], shape (P,)."""
-        return self.volumes * self.material.density
+        densities = np.array([material.density for material in self.materials])
+        return self.volumes * (densities[0] if self.region is None else densities[self.region])
 
 
 @dataclass(frozen=True)
@@ -124,6 +161,8 @@ class Scene:
     fps: float
     gravity: Array
     """[m/s^2], shape (3,)."""
+    planes: tuple[Plane, ...] = ()
+    """What the object cannot enter: the ground first, then walls."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +176,11 @@ class ObjectState:
     affine: Array
     """APIC velocity gradient C_p [1/s], shape (P, 3, 3)."""
     deformation_gradient: Array
-    """F_p [-], shape (P, 3, 3)."""
+    """F_p [-], shape (P, 3, 3): total for solids that flow, elastic for all others."""
+    elastic: Array | None = None
+    """F_E [-], shape (P, 3, 3), where it is not `deformation_gradient`: metal, clay, foam, snow."""
+    hardening: Array | None = None
+    """What the flow has left behind in each particle [-], shape (P,); see `hoi.mpm.materials`."""
 
 
 @dataclass(frozen=True)
@@ -191,9 +234,11 @@ class Contact:
     v_post: Array
     """V_post [m/s], shape (3,); equal to `v_object` when no impulse is given."""
     impulse: Array
-    """m (V_post - V_obj) [N s], shape (3,)."""
+    """Momentum given to the object [N s], shape (3,): m (V_post - V_obj), or what the moving limb gave in all."""
     gap: float
     """Smallest distance between the joint's Gaussians and the object's at t_c [m]."""
+    duration: float = 0.0
+    """From the first to the last push of the moving limb [s]; 0 for an impulse, which takes no time."""
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,22 @@
 """What moves the object: nothing, a straight line, or the MPM; and its re-simulation from the moment of contact."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hoi.config import Config, MPMConf
 from hoi.data import Array, Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.mpm.collider import Collider
 from hoi.mpm.state import centre_of_mass, initial_state, kick
 from hoi.progress import Stage
+
+if TYPE_CHECKING:
+    from hoi.mpm.phases import Tally
 
 
 @dataclass(frozen=True)
@@ -18,14 +26,32 @@ class Advanced:
     states: tuple[ObjectState, ...]
     energy: Array
     """Kinetic, elastic, potential [J], (K, 3)."""
-    phase: str
+    phase: tuple[str, ...]
+    """What moved the object to each of the frames."""
+    impulse: Array = field(default_factory=lambda: np.zeros(3))
+    """What the collider gave the object [N s], shape (3,)."""
+    pushed: tuple[float, float] | None = None
+    """The first and last frame at which it gave any."""
 
 
 SOON = 0.001
 """How long after the impulse the object's velocity is compared with V_post [s]."""
 
-Mover = Callable[[Scene, ObjectState, float, Sequence[float], Stage], Advanced]
-"""(scene, state at frame `start`, start, frames to stop at, stage) -> `Advanced`. Frames may be fractional."""
+
+class Mover(Protocol):
+    """Moves the object from its state at frame `start` to each of the frames `stops`; frames may be fractional."""
+
+    def __call__(
+        self,
+        scene: Scene,
+        state: ObjectState,
+        start: float,
+        stops: Sequence[float],
+        stage: Stage,
+        collider: Collider | None = None,
+    ) -> Advanced:
+        """`collider` is what pushes the object on the way; its times are those of the scene, frame 0 being 0 s."""
+        ...
 
 
 def mover(config: Config, device: str) -> Mover:
@@ -33,11 +59,8 @@ def mover(config: Config, device: str) -> Mover:
     conf = config.stage.object
     if not isinstance(conf, MPMConf):
         return constant_velocity
-
-    def mpm(scene: Scene, state: ObjectState, start: float, stops: Sequence[float], stage: Stage) -> Advanced:
-        return _mpm(scene, state, start, stops, stage, conf, config.object.size, device)
-
-    return mpm
+    threads = config.threads or len(os.sched_getaffinity(0))
+    return partial(_mpm, conf=conf, size=config.object.size, threads=threads, device=device)
 
 
 def _mpm(
@@ -46,38 +69,93 @@ def _mpm(
     start: float,
     stops: Sequence[float],
     stage: Stage,
+    collider: Collider | None = None,
+    *,
     conf: MPMConf,
     size: float,
+    threads: int,
     device: str,
 ) -> Advanced:
-    from hoi.mpm.solver import simulate
-    from hoi.mpm.stability import choose_time_step
-    from hoi.plan import cell_size
+    from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
+    from hoi.mpm.solver import Simulation
+    from hoi.plan import NEVER_RIGID, cell_size
 
-    material = scene.object.material
-    dx = cell_size(conf, size)
-    fall = float(np.linalg.norm(scene.gravity)) * (stops[-1] - start) / scene.fps
-    speed = float(np.hypot(np.linalg.norm(state.velocities, axis=1).max(), fall))
-    dt = choose_time_step(material, dx, speed, dt=conf.dt, fraction=conf.limit_fraction)
-    result = simulate(
+    thing, dx = scene.object, cell_size(conf, size)
+    planes = scene.planes
+    times = (np.asarray(stops) - start) / scene.fps
+    if collider is not None:
+        collider = replace(collider, times=collider.times - start / scene.fps)
+
+    def simulation(state: ObjectState, now: float) -> Simulation:
+        return Simulation(
+            state,
+            thing.volumes,
+            thing.materials,
+            region=thing.region,
+            dx=dx,
+            dt=conf.dt,
+            fraction=conf.limit_fraction,
+            gravity=scene.gravity,
+            planes=planes,
+            collider=None if collider is None else replace(collider, times=collider.times - now),
+            precision=conf.precision.value,
+            threads=threads,
+            device="cuda" if device == "cuda" else "cpu",
+        )
+
+    whole = not any(material.model in NEVER_RIGID for material in thing.materials)
+    walk = Walk(
         state,
-        scene.object.volumes,
-        material,
-        dx=dx,
-        dt=dt,
-        times=(np.asarray(stops) - start) / scene.fps,
+        thing.masses,
+        simulation,
+        end=float(times[-1]),
         gravity=scene.gravity,
-        precision=conf.precision.value,
-        device="cuda" if device == "cuda" else "cpu",
-        on_time=stage.advance,
+        surroundings=Surroundings(planes, [reach_of(plane, dx) for plane in planes], collider, 1.5 * math.sqrt(3) * dx),
+        size=thing.size,
+        moment=dx**2 / 4,
+        frequency=lowest_frequency(thing.particles, thing.masses, thing.materials) if whole else None,
+        tolerance=conf.vibration_tolerance if conf.phases else None,
     )
-    stage.numbers.update(steps=stage.numbers.get("steps", 0) + result.steps, dt=dt, cfl=result.cfl)
-    stage.numbers["compile_seconds"] = stage.numbers.get("compile_seconds", 0.0) + result.compile_seconds
-    return Advanced(result.states, result.energy, "mpm")
+    states, phases = [], []
+    for time in times:
+        reached, phase = walk.advance(float(time))
+        states.append(reached)
+        phases.append(phase)
+        stage.advance()
+    tally = walk.finish()
+    _count(stage.numbers, tally)
+    energy = [walk.simulation.energies(reached) for reached in states]
+    pushed = None
+    if tally.push_end > tally.push_start:
+        pushed = start + tally.push_start * scene.fps, start + tally.push_end * scene.fps
+    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), tally.collider_impulse, pushed)
 
 
-def constant_velocity(scene: Scene, state: ObjectState, start: float, stops: Sequence[float], stage: Stage) -> Advanced:
-    """Straight lines: no gravity, no ground, no deformation (paper, w/o MPM)."""
+def _count(numbers: dict[str, float], tally: "Tally") -> None:
+    """Adds what a walk did and left out to the stage's report; a stage may walk more than once."""
+    adds = {
+        "steps": tally.steps,
+        "steps_left_out": round(tally.steps_left_out),
+        "phase_changes": tally.changes,
+        **{f"seconds_{phase}": seconds for phase, seconds in tally.seconds.items()},
+        "energy_left_out": tally.energy,
+        "compile_seconds": tally.compile_seconds,
+    }
+    greatest = {"vibration_left_out": tally.vibration, "cfl": tally.cfl, "dt_most": tally.dt_most}
+    numbers.update({name: numbers.get(name, 0.0) + value for name, value in adds.items()})
+    numbers.update({name: max(numbers.get(name, 0.0), value) for name, value in greatest.items()})
+    numbers["dt_least"] = min(numbers.get("dt_least", math.inf), tally.dt_least)
+
+
+def constant_velocity(
+    scene: Scene,
+    state: ObjectState,
+    start: float,
+    stops: Sequence[float],
+    stage: Stage,
+    collider: Collider | None = None,
+) -> Advanced:
+    """Straight lines: no gravity, no ground, no deformation, and nothing pushes (paper, w/o MPM)."""
     velocity = centre_of_mass(state.velocities, scene.object.masses)
     states = []
     for stop in stops:
@@ -85,13 +163,21 @@ def constant_velocity(scene: Scene, state: ObjectState, start: float, stops: Seq
         states.append(replace(state, positions=moved, velocities=np.tile(velocity, (len(moved), 1))))
         stage.advance()
     energy = [_rigid_energy(scene, s) for s in states]
-    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), "constant_velocity")
+    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), ("constant_velocity",) * len(states))
 
 
-def at_rest(scene: Scene, state: ObjectState, start: float, stops: Sequence[float], stage: Stage) -> Advanced:
+def at_rest(
+    scene: Scene,
+    state: ObjectState,
+    start: float,
+    stops: Sequence[float],
+    stage: Stage,
+    collider: Collider | None = None,
+) -> Advanced:
     """Nothing happens: the object lies still."""
     stage.advance(len(stops))
-    return Advanced(tuple(state for _ in stops), np.array([_rigid_energy(scene, state) for _ in stops]), "rest")
+    energy = np.array([_rigid_energy(scene, state) for _ in stops])
+    return Advanced(tuple(state for _ in stops), energy, ("rest",) * len(stops))
 
 
 def _rigid_energy(scene: Scene, state: ObjectState) -> tuple[float, float, float]:
@@ -106,7 +192,7 @@ def free_motion(scene: Scene, move: Mover, stage: Stage) -> tuple[ObjectTrajecto
     thing = scene.object
     start = initial_state(thing.particles, thing.masses, thing.velocity, thing.angular_velocity)
     frames = move(scene, start, 0.0, range(scene.frames), stage)
-    return trajectory_of(thing, frames.states, frames.energy, (frames.phase,) * scene.frames), frames.states
+    return trajectory_of(thing, frames.states, frames.energy, frames.phase), frames.states
 
 
 def resimulate(
@@ -118,23 +204,68 @@ def resimulate(
     stage: Stage,
 ) -> ObjectTrajectory:
     """The object from t_c on, its velocity changed by V_post - V_obj; what was before stays as in `free`."""
-    t_c, first = contact.frame, int(contact.frame)
-    at_contact = states[first]
-    if t_c > first:
-        before = at_rest if free.phase[first] == "rest" else move
-        at_contact = before(scene, at_contact, first, [t_c], stage).states[-1]
-    struck = kick(at_contact, contact.v_post - contact.v_object)
-    stops = [float(frame) for frame in range(scene.frames) if frame >= t_c]
-    kept = scene.frames - len(stops)
-    soon = move(scene, struck, t_c, [t_c + SOON * scene.fps], stage).states[-1]
-    leaving = centre_of_mass(soon.velocities, scene.object.masses) - contact.v_post
-    stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
+    t_c = contact.frame
+    struck = kick(_state_at(scene, free, states, t_c, move, stage), contact.v_post - contact.v_object)
+    soon = t_c + SOON * scene.fps
+    frames = [float(frame) for frame in range(scene.frames) if frame >= t_c]
+    stops = sorted({soon, *frames})
     after = move(scene, struck, t_c, stops, stage)
+    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.object.masses) - contact.v_post
+    stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
+    return _continued(scene.object, free, states, after, [stops.index(frame) for frame in frames])
+
+
+def push(
+    scene: Scene,
+    free: ObjectTrajectory,
+    states: Sequence[ObjectState],
+    contact: Contact,
+    collider: Collider,
+    move: Mover,
+    stage: Stage,
+) -> tuple[ObjectTrajectory, Contact]:
+    """The object pushed by the collider from when that appears; before, it stays as in `free`.
+
+    Returns:
+        the trajectory, and the contact with the impulse and the duration that came of it.
+    """
+    start = float(collider.times[0]) * scene.fps
+    frames = [float(frame) for frame in range(scene.frames) if frame > start]
+    state = _state_at(scene, free, states, start, move, stage)
+    after = move(scene, state, start, frames, stage, collider)
+    first, last = after.pushed or (contact.frame, contact.frame)
+    stage.numbers.update(impulse=float(np.linalg.norm(after.impulse)), pushed_from=first, pushed_until=last)
+    if after.pushed is None:
+        stage.notes.append("the limb's capsules passed the object without touching it")
+    trajectory = _continued(scene.object, free, states, after, range(len(frames)))
+    return trajectory, replace(contact, impulse=after.impulse, duration=(last - first) / scene.fps)
+
+
+def _state_at(
+    scene: Scene, free: ObjectTrajectory, states: Sequence[ObjectState], frame: float, move: Mover, stage: Stage
+) -> ObjectState:
+    """The freely moving object at a fractional frame, from its state at the whole frame before."""
+    first = int(frame)
+    if frame <= first:
+        return states[first]
+    before = at_rest if free.phase[first] == "rest" else move
+    return before(scene, states[first], first, [frame], stage).states[-1]
+
+
+def _continued(
+    thing: SceneObject,
+    free: ObjectTrajectory,
+    states: Sequence[ObjectState],
+    after: Advanced,
+    chosen: Sequence[int],
+) -> ObjectTrajectory:
+    """`free` with its last frames replaced by the `chosen` states of `after`."""
+    kept = len(states) - len(chosen)
     return trajectory_of(
-        scene.object,
-        (*states[:kept], *after.states),
-        np.concatenate([free.energy[:kept], after.energy]),
-        (*free.phase[:kept], *(after.phase for _ in stops)),
+        thing,
+        (*states[:kept], *(after.states[index] for index in chosen)),
+        np.concatenate([free.energy[:kept], after.energy[list(chosen)]]),
+        (*free.phase[:kept], *(after.phase[index] for index in chosen)),
     )
 
 
@@ -149,6 +280,6 @@ def trajectory_of(
         com=np.stack([centre_of_mass(s.positions, masses) for s in states]),
         com_velocity=np.stack([centre_of_mass(s.velocities, masses) for s in states]),
         energy=np.asarray(energy),
-        deformation_gradient=deformation if "mpm" in phase else None,
+        deformation_gradient=deformation if {"mpm", "flight"} & set(phase) else None,
         phase=phase,
     )

@@ -1,5 +1,6 @@
 """The method, stage by stage (paper, Method), over a plan; and its record."""
 
+import math
 import resource
 import sys
 import time
@@ -13,7 +14,8 @@ import torch
 from hoi import movers
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
-from hoi.config import Config, Device, HMSDConf, ImpulseConf
+from hoi.collision import limb_collider
+from hoi.config import Config, ContactModel, Device, HMSDConf, ImpulseConf
 from hoi.contact import find_contact
 from hoi.coordination import coordinate, find_target
 from hoi.data import Array, Plan, Run, Scene, State
@@ -71,7 +73,14 @@ def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages
         yield (state := replace(state, contact=search))
         if (push := search.push) is not None:
             with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:
-                trajectory = movers.resimulate(scene, trajectory, states, push, move, stage)
+                if contact.model is ContactModel.collider:
+                    collider, notes = limb_collider(scene, motion, trajectory, push, contact)
+                    stage.notes.extend(notes)
+                    trajectory, pushed = movers.push(scene, trajectory, states, push, collider, move, stage)
+                    contacts = tuple(pushed if each is push else each for each in search.contacts)
+                    state = replace(state, contact=replace(search, contacts=contacts))
+                else:
+                    trajectory = movers.resimulate(scene, trajectory, states, push, move, stage)
             yield replace(state, trajectory=trajectory)
 
 
@@ -126,7 +135,12 @@ def outcome(config: Config, state: State) -> str:
     expected = push.joint in LIMBS[config.scene.expected_limb]
     limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
     speed = float(np.linalg.norm(push.v_post))
-    return f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+    what = f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+    if config.stage.contact.model is not ContactModel.collider or state.trajectory is None:
+        return what
+    left = push.frame + push.duration * config.scene.fps
+    after = state.trajectory.com_velocity[min(math.ceil(left), len(state.trajectory.com_velocity) - 1)]
+    return f"{what}; pushed for {1000 * push.duration:.0f} ms, it then went at {np.linalg.norm(after):.2f} m/s"
 
 
 def summary(result: dict[str, str]) -> str:

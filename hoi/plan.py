@@ -11,7 +11,7 @@ from hoi.config import (
     Ablation,
     AttractionKind,
     Config,
-    ContactKind,
+    ContactModel,
     HMSDConf,
     ImpulseConf,
     MaterialConf,
@@ -32,12 +32,15 @@ PARTS = {
 }
 """A variant's label -> what it runs without."""
 
+NEVER_RIGID = frozenset({"drucker_prager", "fluid", "snow"})
+"""Constitutive models of what does not move as one piece."""
+
 
 def material_of(conf: MaterialConf) -> Material:
     """The checked material.
 
     Raises:
-        InputError: E, nu or rho outside their range.
+        InputError: a value that its model does not allow or does not use.
     """
     from hoi.mpm.materials import check_material
 
@@ -49,9 +52,30 @@ def material_of(conf: MaterialConf) -> Material:
         density=conf.density,
         restitution=conf.restitution,
         ground_friction=conf.ground_friction,
+        yield_stress=math.inf if conf.yield_stress is None else conf.yield_stress,
+        hardening=conf.hardening,
+        viscosity=conf.viscosity,
+        friction_angle=conf.friction_angle,
+        critical_compression=conf.critical_compression,
+        critical_stretch=conf.critical_stretch,
     )
     check_material(material)
     return material
+
+
+def materials_of(config: Config) -> tuple[Material, ...]:
+    """The checked materials of the object: its own, then each region's.
+
+    Raises:
+        InputError: as `material_of`.
+    """
+    materials = [material_of(config.material)]
+    for index, region in enumerate(config.object.regions):
+        try:
+            materials.append(material_of(region.material))
+        except InputError as error:
+            raise InputError(f"object.regions.{index}.{error}") from None
+    return tuple(materials)
 
 
 def cell_size(mover: MPMConf, object_size: float) -> float:
@@ -66,7 +90,9 @@ def lies_still(config: Config) -> bool:
     """Whether the object's free motion is to stay where it is."""
     placement = config.scene.placement
     moving = any(placement.velocity) or any(placement.angular_velocity)
-    return config.object.stable and placement.position[2] is None and not moving and config.scene.gravity[2] <= 0
+    x, y, z = config.scene.gravity
+    falls = x or y or z > 0
+    return config.object.stable and placement.position[2] is None and not moving and not falls
 
 
 def make_plan(config: Config) -> Plan:
@@ -76,7 +102,7 @@ def make_plan(config: Config) -> Plan:
         InputError: a material or time step out of range, weights that do not exist, or a label that contradicts
             `ablation`.
     """
-    material = material_of(config.material)
+    materials = materials_of(config)
     steps: list[Step] = []
     omissions: list[Omission] = []
     checks: list[Check] = []
@@ -88,7 +114,7 @@ def make_plan(config: Config) -> Plan:
         without.append("no_mpm")
         omissions.append(Omission("MPM", "stage/object is constant_velocity", "importing Taichi, the simulation"))
         steps.append(Step("free_motion", "constant_velocity", "straight line from the initial velocity"))
-    elif mpm.skip_rest and lies_still(config):
+    elif mpm.phases and lies_still(config):
         because = "the object is stable, on the ground and at rest: it stays where it is (its elastic sag is left out)"
         omissions.append(Omission("free_motion", because, f"{frames - 1} frames of MPM"))
     else:
@@ -130,8 +156,11 @@ def make_plan(config: Config) -> Plan:
     if isinstance(contact, ImpulseConf):
         where = "between frames too" if contact.between_frames else "at whole frames"
         detail = f"tau {contact.tau:g}, d {contact.distance:g} m, {where}"
-        steps.append(Step("contact", ContactKind.impulse.value, detail))
-        steps.append(Step("resimulate", stage.object.kind.value, "from t_c to T, when a contact pushes the object"))
+        steps.append(Step("contact", contact.model.value, detail))
+        since = "from t_c to T"
+        if contact.model is ContactModel.collider:
+            since = "from when the limb is last clear of it to T, the limb a moving obstacle"
+        steps.append(Step("resimulate", stage.object.kind.value, f"{since}, when a contact pushes the object"))
     else:
         without.append("no_contact")
         omissions.append(Omission("contact", "stage/contact is none", "detection, impulse and re-simulation"))
@@ -142,10 +171,12 @@ def make_plan(config: Config) -> Plan:
 
     simulates = any(step.implementation == "mpm" for step in steps)
     if mpm is not None and simulates:
-        checks.extend(_mpm_checks(config, mpm, material))
+        checks.extend(_mpm_checks(config, mpm, materials))
+        checks.append(_phases_check(mpm, materials))
     elif mpm is not None:
         omissions.append(Omission("MPM", "no kept step simulates", "importing Taichi"))
 
+    checks.extend(_scene_checks(config, materials))
     order = list(PARTS)
     variant = "+".join(sorted(without, key=order.index)) or "full"
     if config.ablation is not Ablation.full and config.ablation.value not in without:
@@ -164,20 +195,44 @@ def _check_checkpoint(motion: HMSDConf) -> None:
         )
 
 
-def _mpm_checks(config: Config, mpm: MPMConf, material: Material) -> list[Check]:
+def _mpm_checks(config: Config, mpm: MPMConf, materials: tuple[Material, ...]) -> list[Check]:
     dx = cell_size(mpm, config.object.size)
     placement, gravity = config.scene.placement, -config.scene.gravity[2]
     fall = math.sqrt(2 * max(gravity, 0.0) * (placement.position[2] or 0.0))
     speed = math.hypot(*placement.velocity) + fall
-    limit = time_step_limit(material, dx, speed)
-    dt = choose_time_step(material, dx, speed, dt=mpm.dt, fraction=mpm.limit_fraction)
+    limit = time_step_limit(materials, dx, speed)
+    dt = choose_time_step(materials, dx, speed, dt=mpm.dt, fraction=mpm.limit_fraction)
     steps = config.scene.frames / config.scene.fps / dt
     across = config.object.size / dx
     return [
-        Check("cfl", f"{cfl_number(material, dx, dt, speed):.2f}", f"dt {dt:.3g} s, limit {limit:.3g} s"),
+        Check("cfl", f"{cfl_number(materials, dx, dt, speed):.2f}", f"dt {dt:.3g} s, limit {limit:.3g} s"),
         Check("resolution", f"{across:.1f}", f"cells of {dx:.3g} m across the object"),
         Check("steps", f"{steps:.0f}", "for the whole scene"),
     ]
+
+
+def _phases_check(mpm: MPMConf, materials: tuple[Material, ...]) -> Check:
+    """Whether steps of the MPM may be left out, and at what cost."""
+    if not mpm.phases:
+        return Check("phases", "mpm", "stage.object.phases is false: every step is taken")
+    loose = sorted({material.model for material in materials} & NEVER_RIGID)
+    bound = f"up to {mpm.vibration_tolerance:g} of the size of vibration and creep left out"
+    if loose:
+        return Check("phases", "mpm, rest", f"{bound}; {', '.join(loose)} never flies as one piece")
+    return Check("phases", "mpm, flight, rest", f"exact rigid flight where no contact is possible; {bound}")
+
+
+def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check]:
+    """What is beside the ground and the object's own material."""
+    checks = []
+    if config.scene.planes or not config.scene.ground:
+        walls = config.scene.planes or []
+        names = ["the ground"] if config.scene.ground else []
+        names += [f"{wall.contact.value} at {wall.point} facing {wall.normal}" for wall in walls]
+        checks.append(Check("planes", str(len(names)), "; ".join(names) or "empty space"))
+    if len(materials) > 1:
+        checks.append(Check("materials", str(len(materials)), ", ".join(material.name for material in materials)))
+    return checks
 
 
 def format_plan(plan: Plan) -> str:

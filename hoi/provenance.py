@@ -36,7 +36,7 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "scene": config.scene.name,
         "ablation": config.ablation.value,
         "experiment": config.experiment,
-        "git": _git_state(),
+        "git": git_state(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -58,7 +58,7 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
     return facts
 
 
-def _git_state() -> str:
+def git_state() -> str:
     """Commit of the checkout hoi runs from, with "+dirty" when it has changes; empty for an installed package."""
     root = Path(__file__).parents[1]
     if not (root / ".git").exists():

@@ -4,18 +4,34 @@ import math
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
-from hoi.config import Config, HMSDConf, HumanKind, ImpulseConf, MPMConf, ObjectKind, WindowedConf
+from hoi.config import (
+    CONF,
+    Config,
+    ContactModel,
+    HMSDConf,
+    HumanKind,
+    ImpulseConf,
+    MaterialConf,
+    MPMConf,
+    ObjectKind,
+    PlaneContact,
+    WindowedConf,
+)
 from hoi.errors import InputError
 
 
 def to_config(composed: DictConfig) -> Config:
     """The composed, checked configuration as dataclasses.
 
+    In `composed`, so in what is recorded and hashed, the regions' materials are filled in.
+
     Raises:
         InputError: a missing value, or anything `validate` finds; one line a problem.
     """
+    fill_in_materials(composed)
     missing = sorted(OmegaConf.missing_keys(composed))
     if missing:
         raise InputError(f"{', '.join(missing)}: no value given")
@@ -24,6 +40,39 @@ def to_config(composed: DictConfig) -> Config:
     if problems:
         raise InputError("\n".join(problems))
     return config
+
+
+def fill_in_materials(composed: DictConfig) -> None:
+    """Put the whole material in the place of each region's (see `hoi.config.RegionConf`).
+
+    Raises:
+        InputError: an unknown name or field, or a value of the wrong type.
+    """
+    for index, region in enumerate(composed.object.regions):
+        where = f"object.regions.{index}.material"
+        if OmegaConf.is_missing(region, "material"):
+            continue
+        material = region.material
+        if isinstance(material, str):
+            material = _preset(material, where)
+        elif not isinstance(material, DictConfig):
+            raise InputError(f"{where} must be a name or a mapping, got {material}")
+        base = OmegaConf.structured(MaterialConf) if "model" in material else composed.material
+        try:
+            region.material = OmegaConf.merge(base, material)
+        except OmegaConfBaseException as error:
+            raise InputError(f"{where}: {str(error).splitlines()[0]}") from None
+
+
+def _preset(name: str, where: str) -> Any:
+    """conf/material/NAME.yaml without what is Hydra's."""
+    path = CONF / "material" / f"{name}.yaml"
+    known = sorted(file.stem for file in path.parent.glob("*.yaml"))
+    if name not in known:
+        raise InputError(f"{where}: unknown material {name!r}; allowed are {', '.join(known)}, or a mapping")
+    preset: Any = OmegaConf.load(path)
+    del preset["defaults"]
+    return preset
 
 
 def _numbers(node: Any, path: str = "") -> list[tuple[str, float]]:
@@ -63,10 +112,16 @@ def validate(config: Config) -> list[str]:
     axes = ("+x", "-x", "+y", "-y", "+z", "-z")
     require(config.object.up in axes, "object.up", config.object.up, f"one of {', '.join(axes)}")
     require(config.object.max_gaussians >= 100, "object.max_gaussians", config.object.max_gaussians, "100 or more")
-    restitution = config.material.restitution
-    require(0 <= restitution <= 1, "material.restitution", restitution, "in [0, 1]")
-    friction = config.material.ground_friction
-    require(friction >= 0, "material.ground_friction", friction, "0 or more")
+    materials = {"material": config.material}
+    for index, region in enumerate(config.object.regions):
+        name, box = f"object.regions.{index}", region.box
+        materials[f"{name}.material"] = region.material
+        for part, vector in (("centre", box.centre), ("half_size", box.half_size)):
+            require(len(vector) == 3, f"{name}.box.{part}", vector, "a list of 3 numbers")
+        require(all(half > 0 for half in box.half_size), f"{name}.box.half_size", box.half_size, "greater than 0")
+    for name, material in materials.items():
+        require(0 <= material.restitution <= 1, f"{name}.restitution", material.restitution, "in [0, 1]")
+        require(material.ground_friction >= 0, f"{name}.ground_friction", material.ground_friction, "0 or more")
 
     require(scene.frames >= 2, "scene.frames", scene.frames, "2 or more")
     require(scene.fps > 0, "scene.fps", scene.fps, "greater than 0 [1/s]")
@@ -77,6 +132,18 @@ def validate(config: Config) -> list[str]:
         ("scene.placement.angular_velocity", placement.angular_velocity, 3),
     ):
         require(len(vector) == length, name, vector, f"a list of {length} numbers")
+    turn = placement.orientation
+    require(len(turn) == 4 and any(turn), "scene.placement.orientation", turn, "a quaternion wxyz that is not zero")
+    on_ground = len(placement.position) == 3 and placement.position[2] is None
+    require(scene.ground or not on_ground, "scene.placement.position", placement.position, "a number in z: no ground")
+    for index, plane in enumerate(scene.planes or []):
+        name, coulomb = f"scene.planes.{index}", plane.contact is PlaneContact.coulomb
+        require(len(plane.point) == 3, f"{name}.point", plane.point, "a list of 3 numbers")
+        normal = plane.normal
+        require(len(normal) == 3 and any(normal), f"{name}.normal", normal, "a list of 3 numbers, not all 0")
+        friction = plane.friction
+        require(friction is None or coulomb, f"{name}.friction", friction, f"null: contact is {plane.contact.value}")
+        require(friction is None or friction >= 0, f"{name}.friction", friction, "0 or more, or null")
     xy = placement.position[:2]
     require(None not in xy, "scene.placement.position", placement.position, "numbers in x and y")
     require(scene.expected_limb in LIMBS, "scene.expected_limb", scene.expected_limb, f"one of {', '.join(LIMBS)}")
@@ -114,9 +181,16 @@ def validate(config: Config) -> list[str]:
     if isinstance(contact, ImpulseConf):
         require(0 < contact.tau <= 1, "stage.contact.tau", contact.tau, "in (0, 1]")
         require(contact.distance > 0, "stage.contact.distance", contact.distance, "greater than 0 [m]")
+        require(contact.friction >= 0, "stage.contact.friction", contact.friction, "0 or more")
+        require(contact.samples >= 1, "stage.contact.samples", contact.samples, "1 or more")
+        pushes = contact.model is ContactModel.impulse or isinstance(stage.object, MPMConf)
+        rule = f"impulse where stage/object is {stage.object.kind.value}: a limb can only push what the MPM moves"
+        require(pushes, "stage.contact.model", contact.model.value, rule)
     mover = stage.object
     if isinstance(mover, MPMConf):
         require(0 < mover.limit_fraction <= 1, "stage.object.limit_fraction", mover.limit_fraction, "in (0, 1]")
+        tolerance = mover.vibration_tolerance
+        require(tolerance >= 0, "stage.object.vibration_tolerance", tolerance, "0 or more")
         require(mover.dt is None or mover.dt > 0, "stage.object.dt", mover.dt, "greater than 0 [s], or null")
         for name in ("cells_across", "grid", "domain"):
             value = getattr(mover, name)

@@ -17,6 +17,7 @@ from hoi.data import (
     ObjectTrajectory,
     Omission,
     Plan,
+    Plane,
     Run,
     Scene,
     SceneObject,
@@ -35,6 +36,7 @@ RADII = {"hip": 0.08, "knee": 0.075, "ankle": 0.055, "foot": 0.045, "collar": 0.
 RADII |= {"wrist": 0.04, "hand": 0.04, "spine": 0.13, "neck": 0.06, "head": 0.06}
 SKIN, SHIRT, SHORTS, SHOE = (0.80, 0.60, 0.48), (0.75, 0.16, 0.16), (0.16, 0.20, 0.35), (0.1, 0.1, 0.1)
 BALL_RADIUS = 0.11
+GROUND = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=0.5)
 
 
 def rest_joints() -> np.ndarray:
@@ -227,7 +229,7 @@ def make_run(
         ),
         reports=(StageReport("motion", 1.0, 50, {"loss": 0.25, "gap": float("inf")}, ("converged",)),),
         history=({"stage": "motion", "iteration": 0.0, "loss": 0.1 + 0.2}, {"stage": "coordinate", "attraction": 1e-9}),
-        scene=Scene("kick_ball", body, thing, "a person kicks", frames, fps, np.array([0, 0, -9.81])),
+        scene=Scene("kick_ball", body, thing, "a person kicks", frames, fps, np.array([0, 0, -9.81]), (GROUND,)),
         state=State(
             motion=motion,
             trajectory=trajectory,

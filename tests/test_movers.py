@@ -44,7 +44,59 @@ def test_free_fall_by_mpm(scene_of):
     time = np.arange(scene.frames)[:, None] / scene.fps
     expected = trajectory.com[0] + time * [1, 0, 2] + 0.5 * time**2 * [0, 0, -9.81]
     np.testing.assert_allclose(trajectory.com, expected, atol=1e-4)
-    assert len(states) == scene.frames and set(trajectory.phase) == {"mpm"}
+    assert len(states) == scene.frames and trajectory.phase[2:] == ("flight",) * (scene.frames - 2)
+    assert trajectory.deformation_gradient is not None
+
+
+def test_what_a_walk_left_out_is_reported(scene_of):
+    """Steps done and left out make up the whole, and every second has its phase."""
+    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]")
+    with Stages().stage("test", 1) as stage:
+        movers.free_motion(scene, movers.mover(config, "cpu"), stage)
+    numbers = stage.numbers
+    seconds = [numbers[f"seconds_{phase}"] for phase in ("mpm", "flight", "rest")]
+    assert sum(seconds) == pytest.approx((scene.frames - 1) / scene.fps)
+    assert 0 < numbers["steps"] < 0.2 * numbers["steps_left_out"]
+    assert numbers["phase_changes"] == 1
+    assert 0 < numbers["dt_least"] <= numbers["dt_most"]
+
+
+def test_without_phases_every_step_is_taken(scene_of):
+    """The same bits as the solver alone."""
+    from hoi.mpm.solver import simulate
+    from hoi.mpm.state import initial_state
+    from hoi.plan import cell_size
+
+    config, scene = scene_of(COARSE, "stage.object.phases=false", "scene.placement.velocity=[1,0,2]")
+    scene = replace(scene, frames=3)
+    move = movers.mover(config, "cpu")
+    trajectory, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    thing, mpm = scene.object, config.stage.object
+    plain = simulate(
+        initial_state(thing.particles, thing.masses, thing.velocity),
+        thing.volumes,
+        thing.material,
+        times=np.arange(3) / scene.fps,
+        dx=cell_size(mpm, config.object.size),
+        fraction=mpm.limit_fraction,
+        planes=scene.planes,
+    )
+    assert set(trajectory.phase) == {"mpm"}
+    for ours, theirs in zip(states, plain.states, strict=True):
+        np.testing.assert_array_equal(ours.positions, theirs.positions)
+        np.testing.assert_array_equal(ours.deformation_gradient, theirs.deformation_gradient)
+
+
+def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
+    """A ball in the air leaves with V_post; the look 1 ms later is no frame and costs no walk of its own."""
+    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
+    move = movers.mover(config, "cpu")
+    free, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    with Stages().stage("test", 1) as stage:
+        struck = movers.resimulate(scene, free, states, contact_at(3.0, [0, 5, 1]), move, stage)
+    assert len(struck.com) == len(struck.phase) == scene.frames
+    assert stage.numbers["v_post_error"] < 1e-4
+    assert stage.numbers["seconds_mpm"] + stage.numbers["seconds_flight"] == pytest.approx(4 / scene.fps)
 
 
 @pytest.mark.parametrize("t_c", [3.0, 3.4])

@@ -298,7 +298,6 @@ def test_drawers_face_the_person() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"position": (0, 1, 0.05)}, "below the ground"),
         ({"position": (0, np.nan, 1)}, "position"),
         ({"position": (0, 1)}, "position"),
         ({"position": (None, 1, 1)}, "position"),

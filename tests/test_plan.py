@@ -60,13 +60,27 @@ def test_no_weight_on_attraction_is_no_attraction(plan):
         ("scene.placement.velocity=[1,0,0]", True),
         ("scene.placement.angular_velocity=[0,0,1]", True),
         ("object.stable=false", True),
-        ("stage.object.skip_rest=false", True),
+        ("stage.object.phases=false", True),
     ],
 )
 def test_free_motion_of_a_still_object_is_left_out(plan, override, simulated):
     made = plan(override)
     assert made.keeps("free_motion") is simulated
     assert ("free_motion" in omitted(made)) is not simulated
+
+
+@pytest.mark.parametrize(
+    ("overrides", "phases"),
+    [
+        ([], "mpm, flight, rest"),
+        (["material=sand"], "mpm, rest"),
+        (["stage.object.phases=false"], "mpm"),
+        (["stage/object=mpm_paper"], "mpm"),
+    ],
+)
+def test_phases_are_planned(plan, overrides, phases):
+    """Every step is taken by the paper's settings, and what does not hold together never flies as one piece."""
+    assert {check.name: check.value for check in plan(*overrides).checks}["phases"] == phases
 
 
 def test_nothing_to_simulate_needs_no_mpm(plan):

@@ -18,8 +18,9 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from hoi import record
-from hoi.data import ContactSearch, Plan, Run, State
+from hoi.data import ContactSearch, Material, Plan, Plane, Run, State
 from hoi.errors import InputError, RunError
+from hoi.record.parts import scene_files, scene_from_files
 from hoi.record.schemas import JSON_SCHEMAS, PROTOBUF_SCHEMAS
 
 
@@ -88,7 +89,14 @@ def variants(run: Run) -> dict[str, Run]:
         },
     )
     diverged = replace(state.motion, body_pose=np.full_like(state.motion.body_pose, np.nan))
+    thing = run.scene.object
+    wall = Plane(np.array([0.0, 2.0, 0.5]), np.array([0.0, -0.6, 0.8]), "slip", 0.0, 0.25)
+    core = Material("core", "neo_hookean", 1e6, 0.3, 300.0, 0.1, 0.2, yield_stress=np.inf, friction_angle=0.5)
+    region = np.arange(len(thing.particles), dtype=np.int32) % 2
+    parts = replace(thing, other_materials=(core,), region=region)
     return {
+        "walls and regions": replace(run, scene=replace(run.scene, object=parts, planes=(*run.scene.planes, wall))),
+        "no planes": replace(run, scene=replace(run.scene, planes=())),
         "no deformation": replace(run, state=replace(state, trajectory=replace(trajectory, deformation_gradient=None))),
         "no phase": replace(run, state=replace(state, trajectory=replace(trajectory, phase=()))),
         "float64": replace(run, state=replace(state, trajectory=doubles)),
@@ -115,6 +123,17 @@ def test_round_trip_of_what_may_be_absent(demo, name, tmp_path):
         assert np.isnan(back.history[0].pop("loss")) and back.history == ({"stage": 'a "b",\n c', "n": 3.0},)
         run, back = replace(run, history=()), replace(back, history=())
     same(run, back)
+
+
+def test_records_from_before_planes_and_regions(demo):
+    scene = demo[0].scene
+    files = scene_files(scene)
+    facts = json.loads(files["scene.json"])
+    del facts["planes"], facts["object"]["other_materials"]
+    for name in ("yield_stress", "friction_angle"):
+        del facts["object"]["material"][name]
+    back = scene_from_files(files | {"scene.json": json.dumps(facts).encode()})
+    same(replace(scene, planes=()), back)
 
 
 def test_a_state_without_a_scene_is_refused(demo, tmp_path):

@@ -96,6 +96,15 @@ def joint_paths(body: Body, motion: Motion, frames: ArrayLike | None = None) -> 
         ).numpy()
 
 
+def joint_frames(body: Body, motion: Motion, frames: ArrayLike | None = None) -> tuple[Array, Array]:
+    """World rotations (F, 24, 3, 3) and positions (F, 24, 3) [m] of the joints, at frames as in `posed_means`."""
+    rest_joints = torch.as_tensor(body.rest_joints, dtype=torch.float64)
+    with torch.no_grad():
+        translation, orientation, body_pose = (part.double() for part in _motion_tensors(motion, frames))
+        rotations, positions = forward_kinematics(local_rotations(orientation, body_pose), translation, rest_joints)
+    return rotations.numpy(), positions.numpy()
+
+
 def stand_motion(body: Body, frames: int, fps: float) -> Motion:
     """Standing still at the origin, facing +Y, arms hanging, soles on the ground z = 0."""
     pose = np.zeros((JOINT_COUNT, 3), dtype=np.float32)

@@ -1,18 +1,25 @@
 """MLS-MPM in Taichi: particle to grid, grid, grid to particle, for one window of the grid.
 
-The scheme is Hu et al. 2018, A Moving Least Squares Material Point Method, section 4, with quadratic B-splines and
-APIC transfers (Jiang et al. 2015); `hoi.mpm.reference` is the same in NumPy and is to be read first. One step is
+The scheme is Hu et al. 2018, A Moving Least Squares Material Point Method, section 4, with APIC transfers (Jiang et al.
+2015); `hoi.mpm.reference` is the same in NumPy and is to be read first. With D = dx^2/4 for quadratic and dx^2/3 for
+cubic B-splines, one step is
 
-    p2g   m_i = sum_p w_ip m_p,   (m v)_i = sum_p w_ip [m_p v_p + (m_p C_p - dt V_p 4/dx^2 tau(F_p)) (x_i - x_p)]
-    grid  v_i = (m v)_i / m_i + dt g, then the ground: Coulomb contact at the nodes below z = 0
-    g2p   v_p = sum_i w_ip v_i,   C_p = 4/dx^2 sum_i w_ip v_i (x_i - x_p)^T,   x_p += dt v_p,   F_p = (I + dt C_p) F_p
+    p2g   m_i = sum_p w_ip m_p,   (m v)_i = sum_p w_ip [m_p v_p + (m_p C_p - dt V_p tau(F_p) / D) (x_i - x_p)]
+    grid  v_i = (m v)_i / m_i + dt g, then planes and capsules (`hoi.mpm.boundary`)
+    g2p   v_p = sum_i w_ip v_i,   C_p = sum_i w_ip v_i (x_i - x_p)^T / D,   x_p += dt v_p,   F_p = (I + dt C_p) F_p,
+          and where the material flows, F_p = return_map(F_p)
 
-Float types follow default_fp, except that positions are float64 in both precisions: one step moves a particle by less
-than the float32 spacing at a metre. The grid is a flat buffer of nodes (momentum, later velocity; mass) for the window
-`origin`, `shape` [nodes] of the world lattice x_i = i dx, which has a plane of nodes in the ground z = 0. The first
-solid plane is the next one down, z = -dx: quadratic B-splines stop a body about a cell before a solid node, so that it
-comes to rest with its surface within 0.1 dx of z = 0 (measured with 8 and 27 particles a cell). Array elements are
-vectors and matrices, not scalars, because only then does LLVM use vector instructions (measured: 1.3 times faster).
+The grid is a flat buffer of nodes (momentum, later velocity; mass) for the window `origin`, `shape` [nodes] of the
+world lattice x_i = i dx. Nothing else of the world has nodes. Float types follow default_fp, except that positions are
+float64 in both precisions: one step moves a particle by less than the float32 spacing at a metre.
+
+Vectors in memory have four places, matrices are three such columns, and Taichi is told to keep vectors whole
+(`real_matrix_scalarize=False`): each then is one vector register (measured: a step takes 0.55 of the time). Taichi 1.7
+cannot cast whole vectors nor load vectors of three that way, so the kernels cast their places one by one.
+
+With one thread many steps are one launch. With more each thread scatters its own share of the particles into its own
+copy of the grid, so nothing is atomic and sums have a fixed order for a given number of threads. On a GPU each particle
+is a thread and one grid takes atomics.
 """
 
 # Kernel annotations are values, not types, and vectors can be sliced.
@@ -20,209 +27,354 @@ vectors and matrices, not scalars, because only then does LLVM use vector instru
 
 import taichi as ti
 
+from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule
+from hoi.mpm.constitutive import FLOWS, KEEPS_TOTAL, kirchhoff_stress, return_map, stiffness
+
 DONE, AT_RIM, INVERTED, STOP = 0, 1, 2, 3
 """Places in `status`: steps done; a particle is at the rim of the window; some J <= 0; either, once a step is over."""
+CPU_TASK = 512
+"""Turns of a parallel loop that Taichi gives a CPU thread at the least, whatever block_dim says (measured): a thread's
+share of the work hangs on the first of so many."""
+NOT_FINITE = 1e30
+"""Stands for infinity, which fast arithmetic takes not to exist."""
+
+
+def any_of(kinds: frozenset[str], models: tuple[str, ...]) -> bool:
+    """Whether one of the models is of these kinds."""
+    return not kinds.isdisjoint(models)
 
 
 @ti.func
-def weights(fx):
-    """Quadratic B-spline of each axis (columns) at three nodes (rows); fx in [0.5, 1.5): distance to the first."""
-    return ti.Matrix.rows([0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1.0) ** 2, 0.5 * (fx - 0.5) ** 2])
+def zero():
+    return ti.Vector([0.0, 0.0, 0.0, 0.0])
 
 
 @ti.func
-def rotation_of(f, tolerance):
-    """R of F = R S for J > 0 by Newton's iteration R <- (R + R^-T)/2 (Higham 1986): 3 or 4 turns near rest."""
-    r = f
-    change = 1.0
-    turns = 0
-    while change > tolerance and turns < 40:
-        half = 0.5 * (r.inverse().transpose() - r)
-        r += half
-        change = half.norm_sqr()
-        turns += 1
-    return r
-
-
-@ti.func
-def kirchhoff_stress(model: ti.template(), f, j, mu, lam, tolerance):
-    """tau [Pa] of the model named `model`; the formulas are in `hoi.mpm.materials`."""
-    identity = ti.Matrix.identity(float, 3)
-    tau = ti.Matrix.zero(float, 3, 3)
-    if ti.static(model == "fixed_corotated"):
-        tau = 2.0 * mu * (f - rotation_of(f, tolerance)) @ f.transpose() + lam * j * (j - 1.0) * identity
-    elif ti.static(model == "neo_hookean"):
-        tau = mu * (f @ f.transpose() - identity) + lam * ti.log(j) * identity
+def weights(size: ti.template(), fx):
+    """B-spline of one axis at its `size` nodes, 3 (quadratic) or 4 (cubic); fx: distance to the first [cells]."""
+    w = ti.Vector([0.0 for _ in range(size)])
+    if ti.static(size == 3):
+        w[0] = 0.5 * (1.5 - fx) ** 2
+        w[1] = 0.75 - (fx - 1.0) ** 2
+        w[2] = 0.5 * (fx - 0.5) ** 2
     else:
-        ti.static_assert(False, "no kernel for this model")
-    return tau
+        t = fx - 1.0
+        w[0] = (1.0 - t) ** 3 / 6.0
+        w[1] = (0.5 * t - 1.0) * t**2 + 2.0 / 3.0
+        w[3] = t**3 / 6.0
+        w[2] = 1.0 - w[0] - w[1] - w[3]  # to float precision the sum must not be biased: it is a gain of momentum
+    return w
 
 
 @ti.func
-def locate(x: ti.template(), p, inv_dx, origin):
-    """First of the 27 nodes that particle p touches, counted in the window, and its distance from it in cells."""
-    scaled = x[p] * inv_dx
-    base = ti.floor(scaled - 0.5, ti.i32)
-    return base - origin, ti.cast(scaled - base, float)
+def inverse_inertia(size: ti.template()):
+    """dx^2 / D."""
+    return ti.static(4.0 if size == 3 else 3.0)
 
 
 @ti.func
-def scatter(p, first, atomic: ti.template(), model: ti.template(), x: ti.template(), v: ti.template(),
-            c: ti.template(), f: ti.template(), mass: ti.template(), volume: ti.template(), grid: ti.template(),
-            status: ti.template(), mu, lam, dt, dx, inv_dx, tolerance, origin, shape):  # fmt: skip
-    """p2g of one particle into the grid copy that starts at node `first`."""
-    base, fx = locate(x, p, inv_dx, origin)
-    deformation = f[p]
+def locate(size: ti.template(), position, inv_dx, origin):
+    """First node of one axis that a particle touches, counted in the window, and its distance from it [cells]."""
+    scaled = position * inv_dx
+    first = ti.floor(scaled - 0.5 * (size - 2), ti.i32)
+    return first - origin, ti.cast(scaled - first, float)
+
+
+@ti.func
+def columns(m):
+    """The columns of a 3x3 matrix as vectors of 4."""
+    return (
+        ti.Vector([m[0, 0], m[1, 0], m[2, 0], 0.0]),
+        ti.Vector([m[0, 1], m[1, 1], m[2, 1], 0.0]),
+        ti.Vector([m[0, 2], m[1, 2], m[2, 2], 0.0]),
+    )
+
+
+@ti.func
+def matrix(a, b, c):
+    """The 3x3 matrix of these columns."""
+    return ti.Matrix([[a[0], b[0], c[0]], [a[1], b[1], c[1]], [a[2], b[2], c[2]]])
+
+
+@ti.func
+def parameters_of(materials: ti.template(), row):
+    """The 8 numbers of `hoi.mpm.constitutive.parameters`."""
+    a, b = materials[3 * row], materials[3 * row + 1]
+    return ti.Vector([a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]])
+
+
+@ti.func
+def add(grid: ti.template(), node, contribution, atomic: ti.template()):
+    if ti.static(atomic):
+        ti.atomic_add(grid[node], contribution)
+    else:
+        grid[node] = grid[node] + contribution
+
+
+@ti.func
+def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.template(), x: ti.template(),
+            v: ti.template(), c: ti.template(), f: ti.template(), hardening: ti.template(), mass: ti.template(),
+            volume: ti.template(), region: ti.template(), materials: ti.template(), grid: ti.template(),
+            status: ti.template(), near, capsules: ti.template(), touched: ti.template(), now, dt, dx, inv_dx,
+            tolerance, origin: ti.template(), shape: ti.template()):  # fmt: skip
+    """p2g of one particle into the grid copy that starts at node `first`; marks its nodes where it is in a capsule."""
+    position = x[p]
+    bx, fx = locate(size, position[0], inv_dx, origin[0])
+    by, fy = locate(size, position[1], inv_dx, origin[1])
+    bz, fz = locate(size, position[2], inv_dx, origin[2])
+    c0, c1, c2 = c[3 * p], c[3 * p + 1], c[3 * p + 2]
+    deformation = matrix(f[3 * p], f[3 * p + 1], f[3 * p + 2])
     j = deformation.determinant()
     if j > 0.0:
-        tau = kirchhoff_stress(model, deformation, j, mu, lam, tolerance)
-        affine = mass[p] * c[p] * dx - (dt * volume[p] * 4.0 / dx) * tau  # momentum per cell
-        momentum = mass[p] * v[p] - affine @ fx
-        at_base = ti.Vector([momentum[0], momentum[1], momentum[2], mass[p]])
-        slope = [ti.Vector([affine[0, a], affine[1, a], affine[2, a], 0.0]) for a in ti.static(range(3))]
-        w = weights(fx)
-        for a, b in ti.static(ti.ndrange(3, 3)):
-            w_ab = w[a, 0] * w[b, 1]
-            value = w_ab * (at_base + a * slope[0] + b * slope[1])
-            change = w_ab * slope[2]
-            row = first + ((base[0] + a) * shape[1] + base[1] + b) * shape[2] + base[2]
-            for k in ti.static(range(3)):
-                contribution = w[k, 2] * (value + k * change)
-                if ti.static(atomic):
-                    ti.atomic_add(grid[row + k], contribution)
-                else:
-                    grid[row + k] = grid[row + k] + contribution
+        row = region[ti.min(p, region.shape[0] - 1)]
+        tau = ti.Matrix.zero(float, 3, 3)
+        for i in ti.static(range(len(models))):
+            if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
+                tau = kirchhoff_stress(
+                    models[i], deformation, j, matrix(c0, c1, c2), parameters_of(materials, row),
+                    hardening[ti.min(p, hardening.shape[0] - 1)], tolerance,
+                )  # fmt: skip
+        t0, t1, t2 = columns(tau)
+        inertia = mass[p] * dx
+        force = -dt * volume[p] * inverse_inertia(size) / dx
+        # Momentum per cell along each axis, then at the first node; the last place carries the mass.
+        a0, a1, a2 = inertia * c0 + force * t0, inertia * c1 + force * t1, inertia * c2 + force * t2
+        at_first = mass[p] * v[p] - fx * a0 - fy * a1 - fz * a2
+        a0[3], a1[3], a2[3], at_first[3] = 0.0, 0.0, 0.0, mass[p]
+        wx, wy, wz = weights(size, fx), weights(size, fy), weights(size, fz)
+        for a, b in ti.static(ti.ndrange(size, size)):
+            w = wx[a] * wy[b]
+            value, change = w * (at_first + a * a0 + b * a1), w * a2
+            line = first + ((bx + a) * shape[1] + by + b) * shape[2] + bz
+            for k in ti.static(range(size)):
+                add(grid, line + k, wz[k] * (value + k * change), atomic)
+        if near != 0:
+            place = dx * ti.Vector([fx + bx, fy + by, fz + bz, 0.0])
+            if in_a_capsule(place, capsules, now) != 0:
+                for a, b, k in ti.ndrange(size, size, size):
+                    touched[((bx + a) * shape[1] + by + b) * shape[2] + bz + k] = 1
     else:
         status[INVERTED] = 1
 
 
 @ti.func
-def update_node(node, nodes, copies, grid: ti.template(), dt, gravity, ground, friction, origin, shape):
-    """Sums the copies of a node, divides by its mass, adds gravity and holds it to the ground."""
-    total = grid[node]
-    for copy in range(1, copies):
+def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.template(), capsules: ti.template(),
+                touched: ti.template(), dt, dx, gravity: ti.template(), now, shape: ti.template()):  # fmt: skip
+    """Sums and clears the copies of a node, divides by its mass, adds gravity and holds it to what is solid.
+
+    The velocity goes to the first grid, the copies lie behind it. Returns the momentum that capsules gave.
+    """
+    total = zero()
+    for copy in range(1, copies + 1):
         total += grid[copy * nodes + node]
-    if total[3] > 0.0:
-        velocity = ti.Vector([total[0], total[1], total[2]]) / total[3] + dt * gravity
-        if ground != 0 and origin[2] + node % shape[2] < 0 and velocity[2] < 0.0:
-            # Coulomb: the tangential impulse is at most friction times the normal one, and only ever brakes.
-            slip = ti.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
-            keep = 0.0
-            if slip > -friction * velocity[2]:
-                keep = 1.0 + friction * velocity[2] / slip
-            velocity = ti.Vector([keep * velocity[0], keep * velocity[1], 0.0])
-        grid[node] = ti.Vector([velocity[0], velocity[1], velocity[2], total[3]])
+        grid[copy * nodes + node] = zero()
+    given = zero()
+    mass = total[3]
+    if mass > 0.0:
+        velocity = total * (1.0 / mass)
+        velocity[3] = 0.0
+        for a in ti.static(range(3)):
+            velocity[a] += dt * ti.cast(gravity[a], float)
+        if near != 0:
+            layer = shape[1] * shape[2]
+            place = dx * ti.Vector([
+                ti.cast(node // layer, float), ti.cast(node % layer // shape[2], float),
+                ti.cast(node % shape[2], float), 0.0,
+            ])  # fmt: skip
+            pushed = velocity
+            if touched[node] != 0:
+                touched[node] = 0
+                pushed = hold_to_capsules(velocity, place, capsules, now)
+                given = mass * (pushed - velocity)
+            velocity = hold_to_planes(pushed, place, planes)
+        total = velocity
+    grid[node] = total
+    return given
 
 
 @ti.func
-def gather(
-    p,
-    x: ti.template(),
-    v: ti.template(),
-    c: ti.template(),
-    f: ti.template(),
-    grid: ti.template(),
-    status: ti.template(),
-    dt,
-    inv_dx,
-    origin,
-    shape,
-):
+def gather(p, size: ti.template(), models: ti.template(), x: ti.template(), v: ti.template(), c: ti.template(),
+           f: ti.template(), total: ti.template(), hardening: ti.template(), region: ti.template(),
+           materials: ti.template(), grid: ti.template(), status: ti.template(), dt, dx, inv_dx, drift: ti.template(),
+           origin: ti.template(), shape: ti.template()):  # fmt: skip
     """g2p of one particle, and its motion and deformation over the step."""
-    base, fx = locate(x, p, inv_dx, origin)
-    w = weights(fx)
-    velocity = ti.Vector.zero(float, 4)
-    by_x, by_y, by_z = ti.Vector.zero(float, 4), ti.Vector.zero(float, 4), ti.Vector.zero(float, 4)
-    for a in ti.static(range(3)):
-        plane, plane_y, plane_z = ti.Vector.zero(float, 4), ti.Vector.zero(float, 4), ti.Vector.zero(float, 4)
-        for b in ti.static(range(3)):
-            row = ((base[0] + a) * shape[1] + base[1] + b) * shape[2] + base[2]
-            line, line_z = ti.Vector.zero(float, 4), ti.Vector.zero(float, 4)
-            for k in ti.static(range(3)):
-                g = grid[row + k]
-                line += w[k, 2] * g
-                line_z += (w[k, 2] * (k - fx[2])) * g
-            plane += w[b, 1] * line
-            plane_y += (w[b, 1] * (b - fx[1])) * line
-            plane_z += w[b, 1] * line_z
-        velocity += w[a, 0] * plane
-        by_x += (w[a, 0] * (a - fx[0])) * plane
-        by_y += w[a, 0] * plane_y
-        by_z += w[a, 0] * plane_z
-    gradient = 4.0 * ti.cast(inv_dx, float) * ti.Matrix.cols([by_x[:3], by_y[:3], by_z[:3]])
-    deformation = f[p]
-    deformation += dt * gradient @ deformation
-    position = x[p] + ti.cast(dt, ti.f64) * velocity[:3]
-    v[p] = velocity[:3]
-    x[p] = position
-    c[p] = gradient
-    f[p] = deformation
-    cell = position * inv_dx - 0.5 - origin
-    if not ((cell >= 1.0).all() and (cell < shape - 3.0).all()):  # also when not finite
+    position = x[p]
+    bx, fx = locate(size, position[0], inv_dx, origin[0])
+    by, fy = locate(size, position[1], inv_dx, origin[1])
+    bz, fz = locate(size, position[2], inv_dx, origin[2])
+    wx, wy, wz = weights(size, fx), weights(size, fy), weights(size, fz)
+    velocity, c0, c1, c2 = zero(), zero(), zero(), zero()
+    for a in ti.static(range(size)):
+        plane, plane_y, plane_z = zero(), zero(), zero()
+        for b in ti.static(range(size)):
+            row = ((bx + a) * shape[1] + by + b) * shape[2] + bz
+            line, line_z = zero(), zero()
+            for k in ti.static(range(size)):
+                node = grid[row + k]
+                line += wz[k] * node
+                line_z += (wz[k] * (k - fz)) * node
+            plane += wy[b] * line
+            plane_y += (wy[b] * (b - fy)) * line
+            plane_z += wy[b] * line_z
+        velocity += wx[a] * plane
+        c0 += (wx[a] * (a - fx)) * plane
+        c1 += wx[a] * plane_y
+        c2 += wx[a] * plane_z
+    scale = inverse_inertia(size) / dx
+    c0 *= scale
+    c1 *= scale
+    c2 *= scale
+    f0, f1, f2 = f[3 * p], f[3 * p + 1], f[3 * p + 2]
+    f0 += dt * (f0[0] * c0 + f0[1] * c1 + f0[2] * c2)
+    f1 += dt * (f1[0] * c0 + f1[1] * c1 + f1[2] * c2)
+    f2 += dt * (f2[0] * c0 + f2[1] * c1 + f2[2] * c2)
+    if ti.static(any_of(FLOWS, models)):
+        row = region[ti.min(p, region.shape[0] - 1)]
+        for i in ti.static(range(len(models))):
+            if ti.static(models[i] in FLOWS):
+                if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
+                    elastic, hard = return_map(
+                        models[i], matrix(f0, f1, f2), hardening[p], parameters_of(materials, row), dt
+                    )
+                    hardening[p] = hard
+                    f0, f1, f2 = columns(elastic)
+    if ti.static(any_of(KEEPS_TOTAL, models)):
+        for a in ti.static(range(3)):
+            g = total[3 * p + a]
+            total[3 * p + a] = g + dt * (g[0] * c0 + g[1] * c1 + g[2] * c2)
+    f[3 * p], f[3 * p + 1], f[3 * p + 2] = f0, f1, f2
+    c[3 * p], c[3 * p + 1], c[3 * p + 2] = c0, c1, c2
+    v[p] = velocity
+    step = ti.cast(dt, ti.f64)
+    px = position[0] + step * velocity[0] - drift[0]
+    py = position[1] + step * velocity[1] - drift[1]
+    pz = position[2] + step * velocity[2] - drift[2]
+    x[p] = ti.Vector([px, py, pz, 0.0])
+    ix, iy, iz = px * inv_dx - origin[0], py * inv_dx - origin[1], pz * inv_dx - origin[2]
+    least, greatest = ti.min(ix, iy, iz), ti.max(ix - shape[0], iy - shape[1], iz - shape[2])
+    if not (least > 0.5 * size and greatest < -0.5 * size - 1.0):  # also when not finite
         status[AT_RIM] = 1
 
 
 @ti.kernel
-def add_velocity(v: ti.types.ndarray(), change: ti.types.vector(3, ti.f64)):
-    """Adds `change` [m/s] to every particle."""
-    for p in range(v.shape[0]):
-        v[p] += ti.cast(change, float)
-
-
-@ti.kernel
 def advance_serial(
-    steps: int, model: ti.template(), ground: int, x: ti.types.ndarray(), v: ti.types.ndarray(),
-    c: ti.types.ndarray(), f: ti.types.ndarray(), mass: ti.types.ndarray(), volume: ti.types.ndarray(),
-    grid: ti.types.ndarray(), status: ti.types.ndarray(), mu: float, lam: float, friction: float,
-    gravity: ti.types.vector(3, ti.f64), dt: float, dx: float, inv_dx: ti.f64, tolerance: float,
-    origin: ti.types.vector(3, int), shape: ti.types.vector(3, int),
+    steps: int, near: int, size: ti.template(), models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(), total: ti.types.ndarray(),
+    hardening: ti.types.ndarray(), mass: ti.types.ndarray(), volume: ti.types.ndarray(), region: ti.types.ndarray(),
+    materials: ti.types.ndarray(), grid: ti.types.ndarray(), planes: ti.types.ndarray(), capsules: ti.types.ndarray(),
+    touched: ti.types.ndarray(), given: ti.types.ndarray(), status: ti.types.ndarray(),
+    gravity: ti.types.vector(4, ti.f64), drift: ti.types.vector(4, ti.f64), dt: float, dx: float, inv_dx: ti.f64, tolerance: float,
+    origin: ti.types.vector(4, int), shape: ti.types.vector(4, int),
 ):  # fmt: skip
-    """Up to `steps` steps in one launch and one serial task: no launch costs, no atomics, one order of summation."""
+    """Up to `steps` steps in one launch and one serial task; fewer when a particle comes to the rim or is inverted.
+
+    `given` (1) gets the momentum that capsules gave [N s]. The copy of the grid is clear before, and after unless a
+    particle is inverted.
+    """
     nodes = shape[0] * shape[1] * shape[2]
-    while status[DONE] < steps and status[STOP] == 0:
-        for node in range(nodes):
-            grid[node] = ti.Vector.zero(float, 4)
-        for p in range(x.shape[0]):
-            scatter(p, 0, False, model, x, v, c, f, mass, volume, grid, status,
-                    mu, lam, dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
-        for node in range(nodes):
-            update_node(node, nodes, 1, grid, dt, ti.cast(gravity, float), ground, friction, origin, shape)
-        for p in range(x.shape[0]):
-            gather(p, x, v, c, f, grid, status, dt, inv_dx, origin, shape)
-        status[STOP] = status[AT_RIM] + status[INVERTED]
-        status[DONE] += 1
+    for _ in range(1):
+        done = 0
+        pushed = zero()
+        while done < steps and status[AT_RIM] == 0 and status[INVERTED] == 0:
+            for p in range(x.shape[0]):
+                scatter(p, nodes, False, size, models, x, v, c, f, hardening, mass, volume, region, materials, grid,
+                        status, near, capsules, touched, (done + 1.0) * dt, dt, dx, inv_dx, tolerance, origin,
+                        shape)  # fmt: skip
+            for node in range(nodes):
+                pushed += update_node(node, nodes, 1, near, grid, planes, capsules, touched, dt, dx, gravity,
+                                      (done + 1.0) * dt, shape)  # fmt: skip
+            for p in range(x.shape[0]):
+                gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
+                       drift, origin, shape)  # fmt: skip
+            done += 1
+        given[0] = pushed
+        status[DONE] = done
 
 
 @ti.kernel
 def step_parallel(
-    chunks: int, copies: int, atomic: ti.template(), model: ti.template(), ground: int,
-    x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(),
-    mass: ti.types.ndarray(), volume: ti.types.ndarray(), grid: ti.types.ndarray(), status: ti.types.ndarray(),
-    mu: float, lam: float, friction: float, gravity: ti.types.vector(3, ti.f64), dt: float, dx: float, inv_dx: ti.f64,
-    tolerance: float, origin: ti.types.vector(3, int), shape: ti.types.vector(3, int),
+    number: int, near: int, shares: int, copies: int, atomic: ti.template(), size: ti.template(),
+    models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(), total: ti.types.ndarray(),
+    hardening: ti.types.ndarray(), mass: ti.types.ndarray(), volume: ti.types.ndarray(), region: ti.types.ndarray(),
+    materials: ti.types.ndarray(), grid: ti.types.ndarray(), planes: ti.types.ndarray(), capsules: ti.types.ndarray(),
+    touched: ti.types.ndarray(), given: ti.types.ndarray(), status: ti.types.ndarray(),
+    gravity: ti.types.vector(4, ti.f64), drift: ti.types.vector(4, ti.f64), dt: float, dx: float, inv_dx: ti.f64, tolerance: float,
+    origin: ti.types.vector(4, int), shape: ti.types.vector(4, int),
 ):  # fmt: skip
-    """One step in parallel, or nothing once status[STOP] is set.
+    """Step `number` of a launch in parallel, or nothing once status[STOP] is set; copies of the grid are clear.
 
-    On a CPU each thread takes one chunk of the particles and scatters into its own copy of the grid, so that the sums
-    have a fixed order for a given number of threads; on a GPU each particle is a chunk and one grid takes atomics.
+    On a CPU each thread takes one share of the particles and scatters into its own copy of the grid; on a GPU each
+    particle is a share and one copy takes atomics. `given` (shares) sums the momentum that capsules gave [N s].
     """
     nodes = shape[0] * shape[1] * shape[2]
-    size = (x.shape[0] + chunks - 1) // chunks
-    for node in range(nodes * copies):
-        grid[node] = ti.Vector.zero(float, 4)
-    ti.loop_config(block_dim=128 if ti.static(atomic) else 1)
-    for chunk in range(chunks):
-        if status[STOP] == 0:
-            for p in range(chunk * size, ti.min((chunk + 1) * size, x.shape[0])):
-                scatter(p, (chunk % copies) * nodes, atomic, model, x, v, c, f, mass, volume, grid, status,
-                        mu, lam, dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
-    for node in range(nodes):
-        update_node(node, nodes, copies, grid, dt, ti.cast(gravity, float), ground, friction, origin, shape)
-    ti.loop_config(block_dim=128 if ti.static(atomic) else 1)
-    for chunk in range(chunks):
-        if status[STOP] == 0:
-            for p in range(chunk * size, ti.min((chunk + 1) * size, x.shape[0])):
-                gather(p, x, v, c, f, grid, status, dt, inv_dx, origin, shape)
+    share_size, slab = (x.shape[0] + shares - 1) // shares, (nodes + shares - 1) // shares
+    ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
+    for i in range(shares if ti.static(atomic) else shares * CPU_TASK):
+        share = i if ti.static(atomic) else i // CPU_TASK
+        if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
+            for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
+                scatter(p, (1 + share % copies) * nodes, atomic, size, models, x, v, c, f, hardening, mass, volume,
+                        region, materials, grid, status, near, capsules, touched, (number + 1.0) * dt, dt, dx, inv_dx,
+                        tolerance, origin, shape)  # fmt: skip
+    ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
+    for i in range(nodes if ti.static(atomic) else shares * CPU_TASK):
+        if ti.static(atomic):
+            pushed = update_node(i, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
+                                 (number + 1.0) * dt, shape)  # fmt: skip
+            if near != 0:
+                ti.atomic_add(given[0], pushed)
+        elif i % CPU_TASK == 0:
+            share = i // CPU_TASK
+            pushed = given[share]
+            for node in range(share * slab, ti.min((share + 1) * slab, nodes)):
+                pushed += update_node(node, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
+                                      (number + 1.0) * dt, shape)  # fmt: skip
+            given[share] = pushed
+    ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
+    for i in range(shares if ti.static(atomic) else shares * CPU_TASK):
+        share = i if ti.static(atomic) else i // CPU_TASK
+        if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
+            for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
+                gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
+                       drift, origin, shape)  # fmt: skip
     if status[STOP] == 0:
         status[STOP] = status[AT_RIM] + status[INVERTED]
         status[DONE] += 1
+
+
+@ti.kernel
+def look(
+    shares: int, models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), f: ti.types.ndarray(),
+    hardening: ti.types.ndarray(), region: ti.types.ndarray(), materials: ti.types.ndarray(),
+    seen: ti.types.ndarray(),
+):  # fmt: skip
+    """What the next time step and window depend on, a pair of rows of `seen` (2 shares) for each share of particles.
+
+    (least x, y, z; greatest |v|^2) and (greatest x, y, z; greatest stiffness / density); a |v|^2 of NOT_FINITE says
+    that something is not finite.
+    """
+    size = (x.shape[0] + shares - 1) // shares
+    ti.loop_config(block_dim=1)
+    for share in range(shares):
+        low = ti.Vector([1e300, 1e300, 1e300, 0.0], ti.f64)
+        high = ti.Vector([-1e300, -1e300, -1e300, 0.0], ti.f64)
+        for p in range(share * size, ti.min((share + 1) * size, x.shape[0])):
+            position, velocity = x[p], v[p]
+            deformation = matrix(f[3 * p], f[3 * p + 1], f[3 * p + 2])
+            row = region[ti.min(p, region.shape[0] - 1)]
+            stiff = 0.0
+            for i in ti.static(range(len(models))):
+                if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
+                    stiff = stiffness(
+                        models[i], deformation, deformation.determinant(), parameters_of(materials, row),
+                        hardening[ti.min(p, hardening.shape[0] - 1)],
+                    ) / materials[3 * row + 2][0]  # fmt: skip
+            speed = velocity.dot(velocity)
+            sum = ti.cast(speed + stiff, ti.f64) + position[0] + position[1] + position[2]
+            if not (ti.abs(sum) < NOT_FINITE):
+                low[3] = NOT_FINITE
+            for a in ti.static(range(3)):
+                low[a] = ti.min(low[a], position[a])
+                high[a] = ti.max(high[a], position[a])
+            low[3] = ti.max(low[3], ti.cast(speed, ti.f64))
+            high[3] = ti.max(high[3], ti.cast(stiff, ti.f64))
+        seen[2 * share], seen[2 * share + 1] = low, high

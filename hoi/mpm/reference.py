@@ -1,71 +1,103 @@
 """MLS-MPM in plain NumPy float64: slow, and meant to be read. The Taichi kernels are tested against it.
 
 Hu et al. 2018, A Moving Least Squares Material Point Method with Displacement Discontinuity and Two-Way Rigid Body
-Coupling, with quadratic B-splines and the affine transfers of Jiang et al. 2015, The Affine Particle-In-Cell Method.
+Coupling, with the affine transfers of Jiang et al. 2015, The Affine Particle-In-Cell Method.
 """
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hoi.data import Array, Material, ObjectState
-from hoi.mpm.materials import kirchhoff_stress
+from hoi.data import Array, Material, ObjectState, Plane
+from hoi.mpm.materials import KEEPS_TOTAL, kirchhoff_stress, return_map
+
+SPREAD = {"quadratic": 1 / 4, "cubic": 1 / 3}
+"""D / dx^2, where sum_i w_ip (x_i - x_p)(x_i - x_p)^T = D I."""
 
 
-def stencil(positions: Array, dx: float) -> tuple[NDArray[np.int64], Array, Array]:
-    """The 27 nodes that each particle touches.
+def stencil(positions: Array, dx: float, spline: str = "quadratic") -> tuple[NDArray[np.int64], Array, Array]:
+    """The S = 27 nodes (quadratic) or 64 (cubic) that each particle touches.
 
     Returns:
-        nodes (P, 27, 3), integer lattice coordinates; weights w_ip (P, 27), which sum to 1; offsets x_i - x_p [m],
-        (P, 27, 3).
+        nodes (P, S, 3), integer lattice coordinates; weights w_ip (P, S), which sum to 1; offsets x_i - x_p [m],
+        (P, S, 3).
     """
-    first = np.floor(positions / dx - 0.5).astype(np.int64)
-    fx = positions / dx - first
-    axis_weights = np.stack([0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2], axis=1)
-    steps = np.array(list(itertools.product(range(3), repeat=3)))
+    size = 3 if spline == "quadratic" else 4
+    first = np.floor(positions / dx - 0.5 * (size - 2)).astype(np.int64)
+    steps = np.array(list(itertools.product(range(size), repeat=3)))
     nodes = first[:, None] + steps
-    weights = axis_weights[:, steps, range(3)].prod(axis=-1)
-    return nodes, weights, nodes * dx - positions[:, None]
+    offset = nodes * dx - positions[:, None]
+    return nodes, _spline(np.abs(offset) / dx, spline).prod(axis=-1), offset
+
+
+def _spline(distance: Array, spline: str) -> Array:
+    """The B-spline at a distance from its node [cells]."""
+    if spline == "quadratic":
+        return np.where(distance < 0.5, 0.75 - distance**2, 0.5 * np.maximum(1.5 - distance, 0) ** 2)
+    return np.where(distance < 1, (0.5 * distance - 1) * distance**2 + 2 / 3, np.maximum(2 - distance, 0) ** 3 / 6)
 
 
 def step(
-    state: ObjectState, volumes: Array, material: Material, *, dx: float, dt: float, gravity: ArrayLike, ground: bool
+    state: ObjectState,
+    volumes: Array,
+    material: Material,
+    *,
+    dx: float,
+    dt: float,
+    gravity: ArrayLike,
+    planes: Sequence[Plane] = (),
+    spline: str = "quadratic",
 ) -> ObjectState:
-    """The state dt later; arguments as in `hoi.mpm.solver.simulate`."""
-    x, v, c, f = state.positions, state.velocities, state.affine, state.deformation_gradient
+    """The state dt later; arguments as in `hoi.mpm.solver.Simulation`."""
+    x, v, c, total = state.positions, state.velocities, state.affine, state.deformation_gradient
+    f = total if state.elastic is None else state.elastic
+    hardening = np.zeros(len(f)) if state.hardening is None else state.hardening
     masses = volumes * material.density
-    nodes, w, offset = stencil(x, dx)
+    nodes, w, offset = stencil(x, dx, spline)
+    inertia = SPREAD[spline] * dx**2
     origin = nodes.min(axis=(0, 1))
     shape = nodes.max(axis=(0, 1)) - origin + 1
     flat = np.ravel_multi_index(tuple(np.moveaxis(nodes - origin, -1, 0)), tuple(shape))
 
-    # Particle to grid: mass and momentum, with the elastic force -V tau 4/dx^2 (x_i - x_p) acting for dt.
-    affine = masses[:, None, None] * c - dt * (volumes * 4 / dx**2)[:, None, None] * kirchhoff_stress(material, f)
+    # Particle to grid: mass and momentum, with the elastic force -V tau (x_i - x_p) / D acting for dt.
+    tau = kirchhoff_stress(material, f, c, hardening)
+    affine = masses[:, None, None] * c - dt * (volumes / inertia)[:, None, None] * tau
     momentum = masses[:, None, None] * v[:, None] + np.einsum("pij,pnj->pni", affine, offset)
     grid_mass = np.zeros(shape.prod())
     grid_velocity = np.zeros((shape.prod(), 3))
     np.add.at(grid_mass, flat, w * masses[:, None])
     np.add.at(grid_velocity, flat, w[..., None] * momentum)
 
-    # Grid: velocity, gravity, ground (solid from the first plane of nodes under z = 0; why so, see hoi.mpm.kernels).
+    # Grid: velocity, gravity, planes (solid from half a cell below their surface; why so, see hoi.mpm.boundary).
     occupied = grid_mass > 0
     grid_velocity[occupied] = grid_velocity[occupied] / grid_mass[occupied, None] + dt * np.asarray(gravity)
-    if ground:
-        height = np.unravel_index(np.arange(shape.prod()), tuple(shape))[2] + origin[2]
-        touching = (height < 0) & (grid_velocity[:, 2] < 0)
-        grid_velocity[touching] = ground_contact(grid_velocity[touching], material.ground_friction)
+    places = (np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape)), axis=-1) + origin) * dx
+    for plane in planes:
+        solid = (places - plane.point) @ plane.normal < -0.5 * dx
+        grid_velocity[solid] = after_contact(grid_velocity[solid], plane)
 
     # Grid to particle.
     nodal = grid_velocity[flat]
     velocity = np.einsum("pn,pni->pi", w, nodal)
-    gradient = 4 / dx**2 * np.einsum("pn,pni,pnj->pij", w, nodal, offset)
-    return ObjectState(x + dt * velocity, velocity, gradient, f + dt * gradient @ f)
+    gradient = np.einsum("pn,pni,pnj->pij", w, nodal, offset) / inertia
+    f, hardening = return_map(material, f + dt * gradient @ f, hardening, dt)
+    keeps = material.model in KEEPS_TOTAL
+    total = total + dt * gradient @ total if keeps else f
+    return ObjectState(x + dt * velocity, velocity, gradient, total, f if keeps else None, hardening)
 
 
-def ground_contact(velocities: Array, friction: float) -> Array:
-    """What becomes of velocities (N, 3) into the ground: none along z, the slip less `friction` times what z lost."""
-    slip = np.linalg.norm(velocities[:, :2], axis=1, keepdims=True)
-    lost = friction * -velocities[:, 2:]
+def after_contact(velocities: Array, plane: Plane) -> Array:
+    """What becomes of velocities (N, 3) in a plane that sends nothing back.
+
+    Along the normal nothing into it is left, and the slip loses up to `friction` times what that lost.
+    """
+    if plane.contact == "stick":
+        return np.zeros_like(velocities)
+    approach = np.minimum(velocities @ plane.normal, 0)[:, None]
+    tangential = velocities - (velocities @ plane.normal)[:, None] * plane.normal
+    slip = np.linalg.norm(tangential, axis=1, keepdims=True)
+    lost = plane.friction * -approach if plane.contact == "coulomb" else 0 * slip
     keep = np.where(slip > lost, 1 - lost / np.where(slip > 0, slip, 1), 0)
-    return np.concatenate([keep * velocities[:, :2], np.zeros_like(slip)], axis=1)
+    return np.where(approach < 0, keep * tangential, velocities)

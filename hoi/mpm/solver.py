@@ -14,22 +14,32 @@ from numpy.typing import ArrayLike, NDArray
 from taichi.lang import impl
 from taichi.lang.misc import is_arch_supported
 
-from hoi.data import Array, Material, ObjectState
+from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
-from hoi.mpm import kernels
-from hoi.mpm.materials import lame_parameters, p_wave_speed
-from hoi.mpm.stability import time_step_limit
+from hoi.mpm import boundary, constitutive, kernels
+from hoi.mpm.collider import Collider
+from hoi.mpm.stability import DEFAULT_FRACTION, STABLE_CFL, choose_time_step, diffusivity, stable_step
 from hoi.mpm.state import centre_of_mass, check_state, energies
 
 Precision = Literal["float32", "float64"]
 Device = Literal["cpu", "cuda"]
+Spline = Literal["quadratic", "cubic"]
 
 MARGIN = 2
 """Cells between the object and the rim of its window when the window is fitted."""
 MAX_NODES = 2**25
 """Nodes of the largest window: 512 MiB in float32."""
 STEPS_A_LOOK = 32
-"""Steps launched in parallel mode before the host looks whether to stop."""
+"""Steps after which the time step and the window are chosen anew."""
+INSTANT = 1e-9
+"""Times no further apart than this are one [s]."""
+UNSTABLE_CFL = 1.15
+"""Above the largest CFL number that was measured to be stable."""
+
+
+def ground_plane(friction: float) -> Plane:
+    """The half-space z < 0."""
+    return Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), "coulomb", friction)
 
 
 @dataclass(frozen=True)
@@ -46,10 +56,15 @@ class SimulationResult:
     """Its velocity [m/s], shape (K, 3)."""
     energy: Array
     """Kinetic, elastic and potential energy [J], shape (K, 3); see `hoi.mpm.state.energies`."""
+    collider_impulse: Array
+    """What the collider gave the object until then [N s], shape (K, 3)."""
     steps: int
     """Substeps done."""
     cfl: float
-    """Largest (c + |v|) dt / dx met [-], with the wave speed c at rest and |v| as of each look at the particles."""
+    """Largest (c + |v|) dt / dx met [-], c and |v| as of each look at the particles."""
+    dt_least: float
+    dt_most: float
+    """Shortest and longest time step [s]."""
     refits: int
     """How often the window was fitted to the object."""
     compile_seconds: float
@@ -66,206 +81,411 @@ class SimulationResult:
 def simulate(
     state: ObjectState,
     volumes: Array,
-    material: Material,
+    material: Material | Sequence[Material],
     *,
-    dx: float,
-    dt: float,
     times: Sequence[float] | Array,
-    gravity: ArrayLike = (0.0, 0.0, -9.81),
-    ground: bool = True,
-    precision: Precision = "float32",
-    threads: int = 1,
-    device: Device = "cpu",
     on_time: Callable[[], object] | None = None,
+    **settings: Any,
 ) -> SimulationResult:
     """Advances the object and returns its state at each of `times`.
 
-    The first interval, from 0 to times[0], may be of any length. Each interval is cut into equal steps of at most `dt`,
-    so that every time is met exactly. The step is not compared with its limit here (see `hoi.mpm.stability`): a run
-    that blows up raises. A resumed run, simulate(final, ...), continues bit for bit.
-
-    With one thread the same input gives the same bits. With more it does for the same number of threads, and differs
-    in round-off from another number; on a GPU it differs in round-off from run to run.
+    The first interval, from 0 to times[0], may be of any length. Arguments are those of `Simulation`, and
 
     Args:
-        state: where it starts; not changed.
-        volumes: rest volume of each particle [m^3], shape (P,).
-        material: density, elasticity and friction against the ground.
-        dx: cell size [m].
-        dt: largest time step [s].
         times: increasing, from the start of the simulation [s]; 0 asks for the initial state.
-        gravity: [m/s^2], shape (3,).
-        ground: whether the half-space z < 0 is solid, with Coulomb friction `material.ground_friction`.
-        precision: of the arithmetic; positions are accumulated in float64 in both.
-        threads: CPU threads.
-        device: "cpu" or "cuda".
         on_time: called when each of `times` is reached.
 
     Raises:
         InputError: a value that cannot be simulated.
-        RunError: the simulation diverged; names the frame (index into `times`) and a remedy.
+        RunError: the simulation diverged.
     """
-    check_state(state, volumes)
     times = _check_times(times)
-    gravity = np.asarray(gravity, dtype=np.float64)
-    if gravity.shape != (3,) or not np.isfinite(gravity).all():
-        raise InputError(f"gravity must be three finite numbers [m/s^2], got {gravity.tolist()}")
-    if not (math.isfinite(dt) and dt > 0):
-        raise InputError(f"stage.object.dt must be positive and finite [s], got {dt:g}")
-    time_step_limit(material, dx)
-
+    run = Simulation(state, volumes, material, **settings)
     started = time.perf_counter()
-    _start_taichi(precision, threads, device)
-    run = _Run(state, volumes, material, dx, gravity, ground, precision, threads, device)
-    run.compile()
-    compiled = time.perf_counter()
-
-    states, now = [], 0.0
-    for frame, until in enumerate(times):
-        steps = math.ceil((until - now) / dt * (1 - 1e-9))
-        if steps:
-            run.advance(steps, (until - now) / steps, frame)
-        now = until
-        states.append(run.download(frame))
+    states, given = [], []
+    for until in times:
+        run.advance(float(until))
+        states.append(run.state())
+        given.append(run.collider_impulse)
         if on_time is not None:
             on_time()
-    masses = np.asarray(volumes) * material.density
+    masses = run.masses
     return SimulationResult(
         times=times,
         states=tuple(states),
         com=np.array([centre_of_mass(s.positions, masses) for s in states]),
         com_velocity=np.array([centre_of_mass(s.velocities, masses) for s in states]),
-        energy=np.array([energies(s, volumes, material, dx, gravity) for s in states]),
+        energy=np.array([run.energies(s) for s in states]),
+        collider_impulse=np.array(given),
         steps=run.steps,
         cfl=run.cfl,
+        dt_least=run.dt_least,
+        dt_most=run.dt_most,
         refits=run.refits,
-        compile_seconds=compiled - started,
-        seconds=time.perf_counter() - compiled,
+        compile_seconds=run.compile_seconds,
+        seconds=time.perf_counter() - started,
     )
 
 
-class _Run:
-    """The particles on the device, and the window of the grid around them."""
+class Simulation:
+    """An object on its way: its particles on the device, and the window of the grid around them.
+
+    With one thread the same input gives the same bits. With more it does for the same number of threads, and differs
+    in round-off from another number; on a GPU it differs in round-off from run to run. A simulation that starts from
+    the state of another and steps to the same times continues it bit for bit.
+
+    Args:
+        state: where it starts; not changed.
+        volumes: rest volume of each particle [m^3], shape (P,).
+        material: what the object is made of, or what its regions are made of.
+        region: index of each particle's material, shape (P,); None: all of the first.
+        dx: cell size [m].
+        dt: time step [s]; None chooses it every few steps from the fastest particle and the stiffest deformed state.
+            Every interval is cut into equal steps of at most this, so that its end is met exactly.
+        fraction: share of the stability limit that a chosen step takes, in (0, 1].
+        gravity: [m/s^2], shape (3,).
+        planes: what is solid; None: the ground z = 0 with the first material's friction; () is empty space.
+        collider: capsules that move through the grid; times count from the start of the simulation.
+        spline: "quadratic" or "cubic".
+        precision: of the arithmetic; positions are accumulated in float64 in both.
+        threads: CPU threads.
+        device: "cpu" or "cuda".
+
+    `collider_impulse` (3,) [N s] is what the collider gave the object so far, `push_start` and `push_end` are the first
+    and last time at which it gave any [s], to `STEPS_A_LOOK` steps.
+
+    Raises:
+        InputError: a value that cannot be simulated, or a `dt` above the stability limit.
+    """
 
     def __init__(
-        self, state: ObjectState, volumes: Array, material: Material, dx: float, gravity: Array, ground: bool,
-        precision: Precision, threads: int, device: Device,
-    ) -> None:  # fmt: skip
-        self.real = ti.f32 if precision == "float32" else ti.f64
-        self.dx, self.wave_speed = dx, p_wave_speed(material)
-        count = len(state.positions)
-        self.x = _upload(ti.Vector.ndarray(3, ti.f64, count), state.positions)
-        self.v = _upload(ti.Vector.ndarray(3, self.real, count), state.velocities)
-        self.c = _upload(ti.Matrix.ndarray(3, 3, self.real, count), state.affine)
-        self.f = _upload(ti.Matrix.ndarray(3, 3, self.real, count), state.deformation_gradient)
-        self.volume = _upload(ti.ndarray(self.real, count), volumes)
-        self.mass = _upload(ti.ndarray(self.real, count), volumes * material.density)
-        self.status = ti.ndarray(ti.i32, 4)
+        self,
+        state: ObjectState,
+        volumes: Array,
+        material: Material | Sequence[Material],
+        *,
+        dx: float,
+        dt: float | None = None,
+        fraction: float = DEFAULT_FRACTION,
+        region: NDArray[np.integer[Any]] | None = None,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        planes: Sequence[Plane] | None = None,
+        collider: Collider | None = None,
+        spline: Spline = "quadratic",
+        precision: Precision = "float32",
+        threads: int = 1,
+        device: Device = "cpu",
+    ) -> None:
+        check_state(state, volumes)
+        self.materials = (material,) if isinstance(material, Material) else tuple(material)
+        self.region = _check_region(region, len(volumes), len(self.materials))
+        self.volumes = np.asarray(volumes, dtype=np.float64)
+        densities = np.array([material.density for material in self.materials])
+        self.masses = self.volumes * densities[0 if self.region is None else self.region]
+        self.gravity = np.asarray(gravity, dtype=np.float64)
+        if self.gravity.shape != (3,) or not np.isfinite(self.gravity).all():
+            raise InputError(f"gravity must be three finite numbers [m/s^2], got {self.gravity.tolist()}")
+        speed = float(np.linalg.norm(state.velocities, axis=1).max())
+        choose_time_step(self.materials, dx, speed, dt, fraction)
+        if spline not in ("quadratic", "cubic"):
+            raise InputError(f"mpm spline must be quadratic or cubic, got {spline!r}")
+        self.dx, self.dt, self.fraction = dx, dt, fraction
+        self.size = 3 if spline == "quadratic" else 4
+        self.planes = [ground_plane(self.materials[0].ground_friction)] if planes is None else list(planes)
+        self.collider = collider
+        self.time, self.steps, self.refits, self.cfl = 0.0, 0, 0, 0.0
+        self.dt_least, self.dt_most = math.inf, 0.0
+        self.collider_impulse = np.zeros(3)
+        self.push_start, self.push_end = math.inf, -math.inf
+
+        started = time.perf_counter()
+        _start_taichi(precision, threads, device)
+        self.on_gpu, self.threads = device == "cuda", 1 if device == "cuda" else threads
         self.serial = device == "cpu" and threads == 1
-        self.atomic = device == "cuda"
-        self.chunks = count if self.atomic else threads
-        self.copies = 1 if self.atomic else threads
-        self.grid = self._new_grid(1)
-        self.model, self.ground = material.model, ground
-        self.gravity = gravity
-        self.physics = (*lame_parameters(material), material.ground_friction, ti.Vector(gravity.tolist(), dt=ti.f64))
+        self.real = ti.f32 if precision == "float32" else ti.f64
         self.tolerance = float(np.finfo(precision).eps)
-        self.steps, self.refits, self.cfl = 0, 0, 0.0
+        self._upload(state)
+        self._launch(1, 1.0, np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64), near=False, idle=True)  # compiles
+        self._look()
+        self.compile_seconds = time.perf_counter() - started
 
-    def compile(self) -> None:
-        """Launches the kernel for no step at all."""
-        self._launch(0, 0.0, np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64))
+    def _upload(self, state: ObjectState) -> None:
+        count, real = len(self.volumes), self.real
+        self.x = _vectors(state.positions, ti.f64)
+        self.v = _vectors(state.velocities, real)
+        self.c = _vectors(_columns(state.affine), real)
+        elastic = state.deformation_gradient if state.elastic is None else state.elastic
+        self.f = _vectors(_columns(elastic), real)
+        self.models = tuple(dict.fromkeys(material.model for material in self.materials))
+        self.flows = any(model in constitutive.FLOWS for model in self.models)
+        self.keeps_total = any(model in constitutive.KEEPS_TOTAL for model in self.models)
+        self.total = _vectors(_columns(state.deformation_gradient) if self.keeps_total else np.zeros((1, 3)), real)
+        hardening = np.zeros(count) if state.hardening is None else state.hardening
+        self.hardening = _numbers(hardening if self.flows else np.zeros(1), real)
+        self.mass, self.volume = _numbers(self.masses, real), _numbers(self.volumes, real)
+        self.region_of = _numbers(np.zeros(1) if self.region is None else self.region, ti.i32)
+        rows = [
+            [*constitutive.parameters(material), material.density, self.models.index(material.model), 0.0, 0.0]
+            for material in self.materials
+        ]
+        self.parameters = _vectors(np.reshape(rows, (-1, 4)), real)
+        self._new_grid(1)
+        self.status = ti.ndarray(ti.i32, 4)
+        self.given = ti.Vector.ndarray(4, real, self.threads)
+        self.shares = 512 if self.on_gpu else self.threads
+        self.seen = ti.Vector.ndarray(4, ti.f64, 2 * self.shares)
+        self.no_capsules = ti.Vector.ndarray(4, real, 1)
 
-    def advance(self, steps: int, dt: float, frame: int) -> None:
-        """`steps` steps of `dt`; the window is fitted anew whenever a particle has come to its rim.
+    def advance(self, until: float) -> None:
+        """Steps until `until` [s], which is met exactly.
 
-        Symplectic Euler carries v half a step late. Off the ground, where gravity alone moves the centre of mass, that
-        half step is taken out before and put back after, so that free flight follows its parabola to round-off.
+        Raises:
+            RunError: the simulation diverged; names time, step and how many particles are to blame, and a remedy.
         """
-        half_step = ti.Vector((0.5 * dt * self.gravity).tolist(), dt=ti.f64)
-        origin, shape = self._fit_window(dt, frame)
-        if self._in_flight(origin):
-            kernels.add_velocity(self.v, -half_step)
-        while steps > 0:
-            done, inverted = self._launch(steps, dt, origin, shape)
-            self.steps += done
-            steps -= done
-            if inverted:
-                raise RunError(self._diverged(frame, "a particle turned inside out (det F <= 0)"))
-            origin, shape = self._fit_window(dt, frame)
-        if self._in_flight(origin):
-            kernels.add_velocity(self.v, half_step)
+        while self.time < until:
+            self.step_towards(until)
 
-    def _in_flight(self, origin: NDArray[np.int64]) -> bool:
-        """Whether no particle touches a solid node; `origin` as just fitted."""
-        return not self.ground or origin[2] + MARGIN >= 0
+    def step_towards(self, until: float, span: float = math.inf) -> None:
+        """Some steps of equal length towards `until` [s], in one window, for about `span` at most [s].
 
-    def download(self, frame: int) -> ObjectState:
-        """The state on the host, checked to be finite and not inverted."""
-        state = ObjectState(self.x.to_numpy(), self.v.to_numpy(), self.c.to_numpy(), self.f.to_numpy())
-        arrays = (state.positions, state.velocities, state.affine, state.deformation_gradient)
-        if not all(np.isfinite(array).all() for array in arrays):
-            raise RunError(self._diverged(frame, "a particle's state is not finite"))
-        if not (np.linalg.det(state.deformation_gradient) > 0).all():
-            raise RunError(self._diverged(frame, "a particle turned inside out (det F <= 0)"))
+        The length of the steps does not depend on `span`.
+        """
+        if self.collider is not None:
+            until = min([until, *(t for t in self.collider.times if self.time + INSTANT < t < until - INSTANT)])
+        low, high, speed, wave_speed = self._look()
+        left = until - self.time
+        limit = self._limit(speed, wave_speed)
+        dt = self.fraction * limit if self.dt is None else self.dt
+        steps = max(math.ceil(left / dt * (1 - 1e-9)), 1)
+        dt = left / steps
+        cfl = (wave_speed + speed) * dt / self.dx
+        self.cfl = max(self.cfl, cfl)
+        if cfl > UNSTABLE_CFL:
+            raise RunError(
+                self._message(
+                    f"dt {dt:.3g} s is above the limit, which has fallen to {limit:.3g} s as the object moves "
+                    f"at {speed:.3g} m/s and its waves at {wave_speed:.3g} m/s: use a smaller stage.object.dt, "
+                    "or null to have it chosen"
+                )
+            )
+        origin, shape = self._fit_window(low, high)
+        in_reach = self._in_reach(low, high, speed * dt * STEPS_A_LOOK)
+        given = self.collider_impulse
+        at_once = min(steps, STEPS_A_LOOK, max(math.ceil(span / dt), 1) if span < left else steps)
+        done = self._launch(at_once, dt, origin, shape, near=in_reach)
+        self.steps += done
+        self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
+        began, self.time = self.time, until if done == steps else until - (steps - done) * dt
+        if (self.collider_impulse != given).any():
+            self.push_start, self.push_end = min(self.push_start, began), self.time
+
+    def _limit(self, speed: float, wave_speed: float) -> float:
+        """The largest stable step [s], should gravity alone add to the speed until the next look."""
+        reach, signal = STABLE_CFL * self.dx, wave_speed + speed
+        gain = STEPS_A_LOOK * float(np.linalg.norm(self.gravity))
+        by_waves = 2 * reach / (signal + math.sqrt(signal**2 + 4 * gain * reach) + 1e-300)
+        return min(stable_step(self.dx, reach / by_waves, diffusivity(material)) for material in self.materials)
+
+    def state(self) -> ObjectState:
+        """The state on the host, checked to be finite and not inverted.
+
+        Raises:
+            RunError: it is not.
+        """
+        elastic = _matrices(self.f)
+        total = elastic
+        if self.keeps_total:
+            total = _matrices(self.total)
+            if len(self.models) > 1:  # some regions may have no total
+                keeps = np.array([material.model in constitutive.KEEPS_TOTAL for material in self.materials])
+                total = np.where(keeps[self.region if self.region is not None else [0]][:, None, None], total, elastic)
+        state = ObjectState(
+            positions=np.ascontiguousarray(self.x.to_numpy()[:, :3]),
+            velocities=np.ascontiguousarray(self.v.to_numpy()[:, :3]),
+            affine=_matrices(self.c),
+            deformation_gradient=total,
+            elastic=elastic if self.keeps_total else None,
+            hardening=self.hardening.to_numpy() if self.flows else None,
+        )
+        arrays = (state.positions, state.velocities, state.affine, total, elastic)
+        finite = np.all([np.isfinite(a.reshape(len(a), -1)).all(axis=1) for a in arrays], axis=0)
+        if not finite.all():
+            raise RunError(self._diverged(f"{np.count_nonzero(~finite)} of {len(finite)} particles are not finite"))
+        inverted = np.linalg.det(elastic) <= 0
+        if inverted.any():
+            raise RunError(self._diverged(
+                f"{np.count_nonzero(inverted)} of {len(finite)} particles have turned inside out (det F <= 0)"
+            ))  # fmt: skip
         return state
 
-    def _fit_window(self, dt: float, frame: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        x, speed = self.x.to_numpy(), float(np.linalg.norm(self.v.to_numpy(), axis=1).max())
-        if not (np.isfinite(x).all() and math.isfinite(speed)):
-            raise RunError(self._diverged(frame, "a particle's state is not finite"))
-        self.cfl = max(self.cfl, (self.wave_speed + speed) * dt / self.dx)
-        if speed * dt > self.dx:
-            raise RunError(self._diverged(frame, f"a particle at {speed:.3g} m/s crosses more than a cell per step"))
-        low, high = (np.floor(bound / self.dx - 0.5) for bound in (x.min(axis=0), x.max(axis=0)))
-        shape = high - low + 3 + 2 * MARGIN
-        if shape.prod() > MAX_NODES or np.abs([low, high]).max() > 2**30:
-            extent = np.array2string(x.max(axis=0) - x.min(axis=0), precision=3)
-            raise RunError(
-                f"frame {frame}: the object spans {extent} m, a window of {shape.prod():.3g} nodes of {self.dx:g} m "
-                f"where {MAX_NODES} are allowed; use larger cells, or if it has come apart a smaller time step"
-            )
+    def energies(self, state: ObjectState) -> Array:
+        """Kinetic, elastic and potential energy of a state [J], shape (3,)."""
+        spread = 1 / (4 if self.size == 3 else 3)
+        return energies(state, self.volumes, self.materials, self.dx, self.gravity, self.region, spread)
+
+    def _look(self) -> tuple[Array, Array, float, float]:
+        """Bounding box of the particles [m], greatest speed and wave speed [m/s]."""
+        kernels.look(self.shares, self.models, self.x, self.v, self.f, self.hardening, self.region_of, self.parameters,
+                     self.seen)  # fmt: skip
+        seen = self.seen.to_numpy()
+        low, high = seen[0::2], seen[1::2]
+        if low[:, 3].max() >= kernels.NOT_FINITE:
+            self.state()  # counts and raises
+        speed, wave_speed = np.sqrt(max(low[:, 3].max(), 0.0)), np.sqrt(max(high[:, 3].max(), 0.0))
+        return low[:, :3].min(axis=0), high[:, :3].max(axis=0), float(speed), float(wave_speed)
+
+    def _fit_window(self, low: Array, high: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        first, last = (np.floor(bound / self.dx - 0.5 * (self.size - 2)) for bound in (low, high))
+        shape = last - first + self.size + 2 * MARGIN
+        if shape.prod() > MAX_NODES or np.abs([first, last]).max() > 2**30:
+            extent = np.array2string(high - low, precision=3)
+            raise RunError(self._message(
+                f"the object spans {extent} m, a window of {shape.prod():.3g} nodes of {self.dx:g} m where {MAX_NODES} "
+                "are allowed; use larger cells, or if it has come apart a smaller time step"
+            ))  # fmt: skip
         shape = shape.astype(np.int64)
-        if shape.prod() * self.copies > self.grid.shape[0]:
-            self.grid = self._new_grid(int(1.5 * shape.prod()))
+        if shape.prod() * (self.threads + 1) > self.grid.shape[0]:
+            self._new_grid(int(1.5 * shape.prod()))
+        if shape.prod() != self.nodes:  # the copies begin elsewhere, and are to be clear
+            self.grid.fill(0.0)
+            self.nodes = shape.prod()
         self.refits += 1
-        return low.astype(np.int64) - MARGIN, shape
+        return first.astype(np.int64) - MARGIN, shape
 
-    def _launch(self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64]) -> tuple[int, bool]:
-        """Up to `steps` steps in this window: how many were done, and whether a particle was found inverted."""
-        self.status.fill(0)
-        arrays = (self.x, self.v, self.c, self.f, self.mass, self.volume, self.grid, self.status)
-        window = (ti.Vector(origin.tolist()), ti.Vector(shape.tolist()))
-        numbers = (*self.physics, dt, self.dx, 1 / self.dx, self.tolerance, *window)
+    def _in_reach(self, low: Array, high: Array, path: float) -> bool:
+        """Whether anything solid may touch the nodes of particles in this box that move by `path` [m]."""
+        if self.collider is not None and self.collider.times[0] <= self.time < self.collider.times[-1]:
+            return True
+        corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
+        reach = 0.5 * self.size * self.dx + path
+        return any(((corners - plane.point) @ plane.normal).min() < reach for plane in self.planes)
+
+    def _launch(
+        self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool,
+        idle: bool = False,
+    ) -> int:  # fmt: skip
+        """Up to `steps` steps in this window, none if `idle`: how many were done."""
+        status = np.zeros(4, dtype=np.int32)
+        status[[kernels.AT_RIM, kernels.STOP]] = idle
+        self.status.from_numpy(status)
+        self.given.fill(0.0)
+        self.touched.fill(0)
+        # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
+        # step out of each move lets free flight follow its parabola to round-off.
+        drift = np.zeros(3) if near else 0.5 * dt * dt * self.gravity
+        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
+                  self.parameters, self.grid, self._planes(origin), self._capsules(origin), self.touched, self.given,
+                  self.status)  # fmt: skip
+        numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
+                   _vector(origin, int), _vector(shape, int))  # fmt: skip
         if self.serial:
-            kernels.advance_serial(steps, self.model, int(self.ground), *arrays, *numbers)
-            status = self.status.to_numpy()
+            kernels.advance_serial(steps, int(near), self.size, self.models, *arrays, *numbers)
         else:
-            launched = 0
-            status = self.status.to_numpy()
-            while launched < steps and not status[kernels.STOP]:
-                for _ in range(min(STEPS_A_LOOK, steps - launched)):
-                    kernels.step_parallel(
-                        self.chunks, self.copies, self.atomic, self.model, int(self.ground), *arrays, *numbers
-                    )
-                    launched += 1
-                status = self.status.to_numpy()
-        return int(status[kernels.DONE]), bool(status[kernels.INVERTED])
+            shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
+            for number in range(steps):
+                kernels.step_parallel(
+                    number,
+                    int(near),
+                    shares,
+                    copies,
+                    self.on_gpu,
+                    self.size,
+                    self.models,
+                    *arrays,
+                    *numbers,
+                )
+        if near:
+            self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
+        status = self.status.to_numpy()
+        done = int(status[kernels.DONE])
+        if status[kernels.INVERTED]:
+            self.steps += done
+            self.state()  # counts and raises; but at the brink the host may find det F > 0
+            raise RunError(self._diverged("a particle has turned inside out (det F <= 0)"))
+        return done
 
-    def _new_grid(self, nodes: int) -> Any:
-        return ti.Vector.ndarray(4, self.real, nodes * self.copies)
+    def _planes(self, origin: NDArray[np.int64]) -> Any:
+        """The planes as `hold_to_planes` reads them."""
+        kinds = {"coulomb": boundary.COULOMB, "slip": boundary.SLIP, "stick": boundary.STICK}
+        rows = []
+        for plane in self.planes:
+            height = float((origin * self.dx - plane.point) @ plane.normal) + boundary.PLANE_DEPTH * self.dx
+            rows += [[*plane.normal, height], [kinds[plane.contact], plane.friction, 0.0, 0.0]]
+        return _vectors(np.array(rows), self.real) if rows else self.no_capsules
 
-    def _diverged(self, frame: int, what: str) -> str:
-        return (
-            f"frame {frame}, step {self.steps}: {what}; the simulation has diverged (CFL {self.cfl:.2g}): "
-            "use a smaller time step, or a stiffer material if the impact is meant to be this hard"
+    def _capsules(self, origin: NDArray[np.int64]) -> Any:
+        """The capsules at the present time as `hold_to_capsules` reads them."""
+        collider = self.collider
+        if collider is None or not collider.times[0] <= self.time < collider.times[-1]:
+            return self.no_capsules
+        k = int(np.searchsorted(collider.times, self.time, side="right")) - 1
+        span = collider.times[k + 1] - collider.times[k]
+        share = (self.time - collider.times[k]) / span
+        rows = []
+        for j, radius in enumerate(collider.radii):
+            ends, velocities = [], []
+            for path in (collider.starts[:, j], collider.ends[:, j]):
+                ends.append(path[k] + share * (path[k + 1] - path[k]) - origin * self.dx)
+                velocities.append((path[k + 1] - path[k]) / span)
+            rows += [[*ends[0], radius], [*ends[1], collider.friction], [*velocities[0], 0.0], [*velocities[1], 0.0]]
+        return _vectors(np.array(rows), self.real)
+
+    def _new_grid(self, nodes: int) -> None:
+        self.grid = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
+        self.touched = ti.ndarray(ti.i32, nodes)
+        self.nodes = 0
+        """Of the window that the grid is clear for."""
+
+    def _message(self, what: str) -> str:
+        return f"t = {self.time:.4g} s, step {self.steps}: {what}"
+
+    def _diverged(self, what: str) -> str:
+        return self._message(
+            f"{what}; the simulation has diverged (CFL {self.cfl:.2g}): use a smaller time step, or a stiffer material "
+            "if the impact is meant to be this hard"
         )
 
 
-def _upload(array: Any, values: Array) -> Any:
-    dtype = np.float64 if array.dtype == ti.f64 else np.float32
-    array.from_numpy(np.ascontiguousarray(values, dtype=dtype))
+def _vectors(values: Array, dtype: Any) -> Any:
+    """Rows of three or four as vectors of four on the device."""
+    padded = np.zeros((len(values), 4), dtype=np.float64 if dtype == ti.f64 else np.float32)
+    padded[:, : values.shape[1]] = values
+    array = ti.Vector.ndarray(4, dtype, len(values))
+    array.from_numpy(padded)
     return array
+
+
+def _numbers(values: ArrayLike, dtype: Any) -> Any:
+    kinds = {ti.f64: np.float64, ti.f32: np.float32, ti.i32: np.int32}
+    array = ti.ndarray(dtype, len(np.atleast_1d(values)))
+    array.from_numpy(np.ascontiguousarray(values, dtype=kinds[dtype]))
+    return array
+
+
+def _columns(matrices: Array) -> Array:
+    """The columns (3 P, 3) of matrices (P, 3, 3)."""
+    return np.swapaxes(matrices, -1, -2).reshape(-1, 3)
+
+
+def _matrices(columns: Any) -> Array:
+    """The inverse of `_columns`, from the device."""
+    return np.ascontiguousarray(np.swapaxes(columns.to_numpy()[:, :3].reshape(-1, 3, 3), -1, -2))
+
+
+def _vector(values: Array, dtype: Any = float) -> Any:
+    return ti.Vector([dtype(value) for value in values] + [dtype(0)])
+
+
+def _check_region(region: Any, count: int, materials: int) -> NDArray[np.int32] | None:
+    if region is None:
+        return None
+    region = np.asarray(region)
+    if region.shape != (count,) or region.min() < 0 or region.max() >= materials:
+        raise InputError(
+            f"mpm region must be {count} indices below {materials}, got shape {region.shape}, "
+            f"from {region.min()} to {region.max()}"
+        )
+    return region.astype(np.int32)
 
 
 def _check_times(times: Sequence[float] | Array) -> Array:
@@ -301,5 +521,5 @@ def _start_taichi(precision: Precision, threads: int, device: Device) -> None:
     with contextlib.redirect_stdout(io.StringIO()):  # ti.init prints the device it starts on
         ti.init(
             arch=arch, default_fp=real, default_ip=ti.i32, cpu_max_num_threads=threads, log_level=ti.ERROR,
-            enable_fallback=False,
+            enable_fallback=False, real_matrix_scalarize=device == "cuda",
         )  # fmt: skip

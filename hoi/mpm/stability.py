@@ -14,6 +14,7 @@ stretch to 0.55 for neo_hookean, and to 0.28 (nu 0.45) for fixed_corotated, whos
 """
 
 import math
+from collections.abc import Sequence
 
 from hoi.data import Material
 from hoi.errors import InputError
@@ -21,35 +22,57 @@ from hoi.mpm.materials import p_wave_speed
 
 STABLE_CFL = 0.7
 """The limit of the CFL number: just below the least of the table above [-]."""
+STABLE_DIFFUSION = 0.18
+"""The limit of viscosity dt / (rho dx^2) of a fluid without pressure [-]."""
 DEFAULT_FRACTION = 0.5
 """Share of the limit taken when no time step is given: leaves room for 20% compression."""
 
 
-def cfl_number(material: Material, dx: float, dt: float, speed: float = 0.0) -> float:
+def stable_step(dx: float, signal_speed: float, diffusivity: float = 0.0) -> float:
+    """The largest stable dt [s]: (dt signal_speed / (STABLE_CFL dx))^2 + dt diffusivity / (STABLE_DIFFUSION dx^2) = 1.
+
+    Args:
+        dx: cell size [m].
+        signal_speed: c + |v|, of the deformed material if it is known [m/s].
+        diffusivity: viscosity / density of a fluid [m^2/s].
+    """
+    by_waves = STABLE_CFL * dx / signal_speed
+    by_viscosity = 0.5 * by_waves * diffusivity / (STABLE_DIFFUSION * dx**2)
+    return by_waves / (math.sqrt(1 + by_viscosity**2) + by_viscosity)
+
+
+def diffusivity(material: Material) -> float:
+    """viscosity / density of a fluid [m^2/s]; 0 for what flows plastically, whose return map is implicit in time."""
+    return material.viscosity / material.density if material.model == "fluid" else 0.0
+
+
+def cfl_number(material: Material | Sequence[Material], dx: float, dt: float, speed: float = 0.0) -> float:
     """(c + |v|) dt / dx: the cells that the fastest signal crosses in a step [-]."""
-    return (p_wave_speed(material) + speed) * dt / dx
+    return (max(p_wave_speed(m) for m in _materials(material)) + speed) * dt / dx
 
 
-def time_step_limit(material: Material, dx: float, speed: float = 0.0) -> float:
+def time_step_limit(material: Material | Sequence[Material], dx: float, speed: float = 0.0) -> float:
     """The largest dt [s] that is stable for cells of size `dx` [m] and particles no faster than `speed` [m/s].
+
+    Of several materials the one with the smallest step counts.
 
     Raises:
         InputError: a material, dx or speed that makes no sense.
     """
-    if not (math.isfinite(dx) and dx > 0):
-        raise InputError(f"mpm dx must be positive and finite [m], got {dx:g}")
-    if not (math.isfinite(speed) and speed >= 0):
-        raise InputError(f"mpm speed must be 0 or more and finite [m/s], got {speed:g}")
-    return STABLE_CFL * dx / (p_wave_speed(material) + speed)
+    return _tightest(material, dx, speed)[0]
 
 
 def choose_time_step(
-    material: Material, dx: float, speed: float, dt: float | None = None, fraction: float = DEFAULT_FRACTION
+    material: Material | Sequence[Material],
+    dx: float,
+    speed: float,
+    dt: float | None = None,
+    fraction: float = DEFAULT_FRACTION,
 ) -> float:
     """The time step [s] to simulate with: `dt` if that is given and stable, else `fraction` of the limit.
 
     Args:
-        material: what the object is made of.
+        material: what the object is made of, or what its regions are made of.
         dx: cell size [m].
         speed: of the fastest particle expected [m/s].
         dt: a fixed time step [s], or None.
@@ -58,7 +81,7 @@ def choose_time_step(
     Raises:
         InputError: dt is above the limit, or a value makes no sense.
     """
-    limit = time_step_limit(material, dx, speed)
+    limit, tightest = _tightest(material, dx, speed)
     if not 0 < fraction <= 1:
         raise InputError(f"mpm fraction of the time step limit must lie in (0, 1], got {fraction:g}")
     if dt is None:
@@ -66,9 +89,24 @@ def choose_time_step(
     if not (math.isfinite(dt) and dt > 0):
         raise InputError(f"stage.object.dt must be positive and finite [s], got {dt:g}")
     if dt > limit:
+        viscous = f", viscosity {tightest.viscosity:g} Pa s" if diffusivity(tightest) else ""
         raise InputError(
-            f"stage.object.dt must be at most {limit:.3g} s for {material.name} "
-            f"(wave speed {p_wave_speed(material):.0f} m/s) on cells of {dx:.3g} m, got {dt:g}; "
+            f"stage.object.dt must be at most {limit:.3g} s for {tightest.name} "
+            f"(wave speed {p_wave_speed(tightest):.0f} m/s{viscous}) on cells of {dx:.3g} m, got {dt:g}; "
             "leave it out to have it chosen, or use larger cells"
         )
     return dt
+
+
+def _materials(material: Material | Sequence[Material]) -> Sequence[Material]:
+    return (material,) if isinstance(material, Material) else material
+
+
+def _tightest(material: Material | Sequence[Material], dx: float, speed: float) -> tuple[float, Material]:
+    """The limit [s] and the material that sets it."""
+    if not (math.isfinite(dx) and dx > 0):
+        raise InputError(f"mpm dx must be positive and finite [m], got {dx:g}")
+    if not (math.isfinite(speed) and speed >= 0):
+        raise InputError(f"mpm speed must be 0 or more and finite [m/s], got {speed:g}")
+    limits = [(stable_step(dx, p_wave_speed(m) + speed, diffusivity(m)), m) for m in _materials(material)]
+    return min(limits, key=lambda limit: limit[0])

@@ -1,9 +1,11 @@
 """States of the object's particles: how they begin, what a kick does, and what they add up to. NumPy only."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hoi.data import Array, Material, ObjectState
 from hoi.errors import InputError
@@ -43,19 +45,34 @@ def centre_of_mass(values: Array, masses: Array) -> Array:
     return weights @ np.asarray(values, dtype=np.float64) / weights.sum()
 
 
-def energies(state: ObjectState, volumes: Array, material: Material, dx: float, gravity: Array) -> Array:
-    """Kinetic, elastic and potential energy [J], shape (3,).
+def energies(
+    state: ObjectState,
+    volumes: Array,
+    material: Material | Sequence[Material],
+    dx: float,
+    gravity: ArrayLike,
+    region: NDArray[np.integer[Any]] | None = None,
+    spread: float = 0.25,
+) -> Array:
+    """Kinetic, elastic and potential energy [J], shape (3,); `region` is each particle's material, shape (P,).
 
-    Kinetic is what APIC carries: sum m_p (|v_p|^2 + dx^2/4 |C_p|^2) / 2, the second term being the motion within a
-    particle's stencil. Potential is -sum m_p g . x_p: 0 at the origin, and for gravity along z on the ground.
+    Kinetic is what APIC carries: sum m_p (|v_p|^2 + D |C_p|^2) / 2, D = `spread` dx^2, which is dx^2/4 for quadratic
+    and dx^2/3 for cubic B-splines, the second term being the motion within a
+    particle's stencil. Elastic is what can be given back; what the flow of a plastic material took is not in it.
+    Potential is -sum m_p g . x_p: 0 at the origin, and for gravity along z on the ground.
     """
+    materials = (material,) if isinstance(material, Material) else material
     volumes = np.asarray(volumes, dtype=np.float64)
-    masses = volumes * material.density
-    x, v, c, f = (
-        a.astype(np.float64) for a in (state.positions, state.velocities, state.affine, state.deformation_gradient)
-    )
-    kinetic = 0.5 * masses @ ((v**2).sum(-1) + dx**2 / 4 * (c**2).sum((-2, -1)))
-    elastic = volumes @ elastic_energy_density(material, f)
+    region = np.zeros(len(volumes), dtype=int) if region is None else region
+    masses = volumes * np.array([m.density for m in materials])[region]
+    x, v, c = (a.astype(np.float64) for a in (state.positions, state.velocities, state.affine))
+    f = (state.deformation_gradient if state.elastic is None else state.elastic).astype(np.float64)
+    hardening = np.zeros(len(f)) if state.hardening is None else state.hardening.astype(np.float64)
+    kinetic = 0.5 * masses @ ((v**2).sum(-1) + spread * dx**2 * (c**2).sum((-2, -1)))
+    elastic = 0.0
+    for index, m in enumerate(materials):
+        own = region == index
+        elastic += volumes[own] @ elastic_energy_density(m, f[own], hardening[own])
     return np.array([kinetic, elastic, -masses @ (x @ np.asarray(gravity, dtype=np.float64))])
 
 
@@ -64,8 +81,9 @@ def linear_momentum(state: ObjectState, masses: Array) -> Array:
     return np.asarray(masses, dtype=np.float64) @ state.velocities.astype(np.float64)
 
 
-def angular_momentum(state: ObjectState, masses: Array, dx: float) -> Array:
-    """sum m_p (x_p x v_p + dx^2/4 axl(C_p)) about the origin [N m s], shape (3,), with axl(C)_i = e_ijk C_kj.
+def angular_momentum(state: ObjectState, masses: Array, dx: float, spread: float = 0.25) -> Array:
+    """sum m_p (x_p x v_p + D axl(C_p)), D = `spread` dx^2 as for `energies`, about the
+    origin [N m s], shape (3,), with axl(C)_i = e_ijk C_kj.
 
     The second term is what each particle's stencil carries (Jiang et al. 2015, The Affine Particle-In-Cell Method);
     APIC conserves the sum.
@@ -73,7 +91,7 @@ def angular_momentum(state: ObjectState, masses: Array, dx: float) -> Array:
     masses = np.asarray(masses, dtype=np.float64)
     c = state.affine.astype(np.float64)
     axial = np.stack([c[:, 2, 1] - c[:, 1, 2], c[:, 0, 2] - c[:, 2, 0], c[:, 1, 0] - c[:, 0, 1]], axis=-1)
-    return masses @ (np.cross(state.positions, state.velocities) + dx**2 / 4 * axial)
+    return masses @ (np.cross(state.positions, state.velocities) + spread * dx**2 * axial)
 
 
 def check_state(state: ObjectState, volumes: Array) -> None:
@@ -85,6 +103,10 @@ def check_state(state: ObjectState, volumes: Array) -> None:
         "affine": (count, 3, 3),
         "deformation_gradient": (count, 3, 3),
     }
+    if state.elastic is not None:
+        shapes["elastic"] = (count, 3, 3)
+    if state.hardening is not None:
+        shapes["hardening"] = (count,)
     if count == 0:
         raise InputError("object state has no particles; at least one is needed")
     for name, shape in shapes.items():
@@ -98,6 +120,7 @@ def check_state(state: ObjectState, volumes: Array) -> None:
     if volumes.shape != (count,) or not (np.isfinite(volumes).all() and (volumes > 0).all()):
         raise InputError(f"object volumes must be {count} positive numbers [m^3], got shape {volumes.shape}, "
                          f"smallest {volumes.min(initial=np.inf):g}")  # fmt: skip
-    determinants = np.linalg.det(state.deformation_gradient)
-    if not (determinants > 0).all():
-        raise InputError(f"object state deformation_gradient must have det F > 0, got {determinants.min():g}")
+    for name in ("deformation_gradient", "elastic")[: 1 if state.elastic is None else 2]:
+        determinants = np.linalg.det(getattr(state, name))
+        if not (determinants > 0).all():
+            raise InputError(f"object state {name} must have det F > 0, got {determinants.min():g}")

@@ -14,8 +14,6 @@ from hoi.objects import cleaning, shapes
 from hoi.objects.filling import Filling, fill_cloud, fill_mesh
 
 MAX_GAUSSIANS = 60_000
-GROUND_TOLERANCE = 1e-4
-"""How deep a particle may lie below z = 0 at the start [m]."""
 
 UP = {
     "+z": np.eye(3),
@@ -121,7 +119,7 @@ def place(
         angular_velocity: about the centre of mass [rad/s].
 
     Raises:
-        InputError: a value is not finite or of the wrong length, or the object would start below the ground.
+        InputError: a value is not finite or of the wrong length.
     """
     x, y, z = _vector("position", [0.0 if i == 2 and v is None else v for i, v in enumerate(position)], 3)
     on_ground = position[2] is None
@@ -138,7 +136,7 @@ def place(
         translation[2] = -turned[:, 2].min()
     cloud = transform(loaded.cloud, rotation, 1.0, translation)
     particles = np.concatenate([cloud.means, turned[len(cloud) :] + translation]).astype(np.float32)
-    placed = SceneObject(
+    return SceneObject(
         name=loaded.name,
         cloud=cloud,
         particles=particles,
@@ -149,18 +147,6 @@ def place(
         size=loaded.size,
         notes=loaded.notes,
     )
-    check_above_ground(placed)
-    return placed
-
-
-def check_above_ground(placed: SceneObject) -> None:
-    """Raise InputError when the object starts below z = 0."""
-    lowest = float(placed.particles[:, 2].min())
-    if lowest < -GROUND_TOLERANCE:
-        raise InputError(
-            f"object position: {placed.name} would start {-lowest:.3g} m below the ground; raise z by that, "
-            "or leave z empty to set it down on the ground"
-        )
 
 
 def _assemble(name: str, cloud: GaussianCloud, filling: Filling, size: float, notes: list[str]) -> LoadedObject:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_origin
 
 import numpy as np
 
-from hoi.data import Array, Body, GaussianCloud, Material, Scene, SceneObject
+from hoi.data import Array, Body, GaussianCloud, Material, Plane, Scene, SceneObject
 
 T = TypeVar("T")
 
@@ -86,18 +86,29 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         "frames": scene.frames,
         "fps": scene.fps,
         "gravity": scene.gravity,
+        "planes": scene.planes,
         "body": {"name": body.name, "source": body.source},
-        "object": {"name": thing.name, "size": thing.size, "notes": thing.notes, "material": thing.material},
+        "object": {
+            "name": thing.name,
+            "size": thing.size,
+            "notes": thing.notes,
+            "material": thing.material,
+            "other_materials": thing.other_materials,
+        },
     }
     return {
         "scene.json": to_json(facts),
         "body.npz": _npz({name: getattr(body.cloud, name) for name in _CLOUD}, body, _BODY),
-        "object.npz": _npz({name: getattr(thing.cloud, name) for name in _CLOUD}, thing, _OBJECT),
+        "object.npz": _npz(
+            {name: getattr(thing.cloud, name) for name in _CLOUD},
+            thing,
+            _OBJECT if thing.region is None else (*_OBJECT, "region"),
+        ),
     }
 
 
 def scene_from_files(files: dict[str, bytes]) -> Scene:
-    """The inverse of `scene_files`."""
+    """The inverse of `scene_files`. Records from before there were planes and regions have none."""
     facts = json.loads(files["scene.json"])
     body, thing = _arrays(files["body.npz"]), _arrays(files["object.npz"])
     return Scene(
@@ -109,12 +120,15 @@ def scene_from_files(files: dict[str, bytes]) -> Scene:
             material=restore(Material, facts["object"]["material"]),
             size=float(facts["object"]["size"]),
             notes=tuple(facts["object"]["notes"]),
+            other_materials=tuple(restore(Material, m) for m in facts["object"].get("other_materials", ())),
+            region=thing["region"].astype(np.int32) if "region" in thing else None,
             **_named(thing, _OBJECT),
         ),
         motion_prompt=facts["motion_prompt"],
         frames=int(facts["frames"]),
         fps=float(facts["fps"]),
         gravity=np.array(facts["gravity"], np.float64),
+        planes=tuple(restore(Plane, plane) for plane in facts.get("planes", ())),
     )
 
 

@@ -1,0 +1,1 @@
+"""Error against run time of the object's physics, on problems with known answers and on benchmark scenes."""

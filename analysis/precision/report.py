@@ -1,0 +1,178 @@
+"""What a study leaves behind: precision.csv, precision.md and precision.png."""
+
+import os
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from analysis.precision.convergence import Order
+from analysis.precision.problems import Problem
+from hoi.provenance import git_state
+
+INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
+KINDS = {
+    "base": ("#22262b", "o", "base: 0.5 of the limit, quadratic"),
+    "dt": ("#2b6cb0", "s", "time step"),
+    "grid": ("#c2571a", "D", "grid"),
+    "spline": ("#2f855a", "^", "cubic spline"),
+    "precision": ("#805ad5", "P", "other float"),
+    "material": ("#b7791f", "X", "other material model"),
+    "phases": ("#d61f3c", "*", "phases"),
+    "constant velocity": ("#97a0ab", "<", "constant velocity"),
+    "ballistic rigid body": ("#4a5560", ">", "ballistic rigid body"),
+}
+"""Kind of variant -> colour, marker, what the legend calls it."""
+EXACT = 1e-11
+"""Errors below this are called exact, and drawn at the lower edge where they would crush the others together."""
+FIRST = ["problem", "kind", "variant", "cells", "fraction", "spline", "precision", "model", "particles", "steps", "seconds",
+         "repeats", "headline", "error", "front", "com", "orientation", "shape", "position"]  # fmt: skip
+"""Columns of the CSV, in this order; the further numbers of the problems follow."""
+
+
+def facts(threads: int) -> dict[str, str]:
+    """Where and with what the times were measured."""
+    return {
+        "machine": f"{_processor()}, {os.cpu_count()} cores, {platform.system()}",
+        "threads": str(threads),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("hoi", "taichi", "numpy")},
+        "commit": git_state() or "not a checkout",
+    }
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def write(
+    folder: Path, problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[Order], noted: dict[str, str]
+) -> list[Path]:
+    """The three files, in `folder`, which is made when it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"precision.{ending}" for ending in ("csv", "md", "png")]
+    rest = [column for column in table if column not in FIRST]
+    table[FIRST + rest].assign(**noted).to_csv(paths[0], index=False)
+    paths[1].write_text(markdown(problems, table, orders, noted), encoding="utf-8")
+    draw(problems, table, noted, paths[2])
+    return paths
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def markdown(
+    problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[Order], noted: dict[str, str]
+) -> str:
+    """The report as text."""
+    parts = ["# Error against run time of the object's physics", _list(noted), "## Observed orders", _orders(orders)]
+    for problem in problems:
+        rows = table[table["problem"] == problem.name]
+        parts.append(f"## {problem.name}: {problem.title}")
+        if problem.notes:
+            parts.append(_list({name: f"{value:.4g}" for name, value in problem.notes.items()}))
+        parts.append(_rows(rows.sort_values("seconds"), problem))
+    return "\n\n".join(parts) + "\n"
+
+
+def _rows(rows: pd.DataFrame, problem: Problem) -> str:
+    further = [c for c in rows if c not in FIRST and c not in ("failed", problem.headline) and rows[c].notna().any()]
+    numbers = [*(name for name in problem.known if rows[name].notna().any()), *further]
+    if problem.headline not in problem.known:
+        numbers.insert(0, problem.headline)
+    lines = [["variant", "cells", "s", *(_unit(name) for name in numbers), "front"]]
+    for row in rows.to_dict("records"):
+        values = [f"{row[name]:.2e}" if np.isfinite(row[name]) else "" for name in numbers]
+        seconds = f"{row['seconds']:.3g}" if np.isfinite(row["seconds"]) else "failed"
+        lines.append([row["variant"], str(row["cells"]), seconds, *values, "*" if row["front"] else ""])
+    return _table(lines)
+
+
+def _orders(orders: Sequence[Order]) -> str:
+    lines = [["series", "error of", "cells", "errors", "order", "theory", ""]]
+    for o in orders:
+        errors = " ".join(f"{error:.2e}" for error in o.errors)
+        theory = "" if o.expected is None else f"{o.expected:g}"
+        lines.append([o.series, o.quantity, " ".join(map(str, o.cells)), errors, f"{o.observed:.2f}", theory, o.verdict])
+    return _table(lines)
+
+
+def _unit(name: str) -> str:
+    return f"{name} [rad]" if name == "orientation" else name
+
+
+def _table(lines: list[list[str]]) -> str:
+    """A Markdown table of these cells, its columns aligned."""
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    text = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)) + " |" for line in lines]
+    return "\n".join([text[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *text[1:]])
+
+
+def _list(values: dict[str, str]) -> str:
+    return "\n".join(f"- {name}: {value}" for name, value in values.items())
+
+
+# --- picture ---------------------------------------------------------------------------------------------------------
+
+
+def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str], path: Path) -> None:
+    """Error over seconds, a panel a problem, with the Pareto front as a step line and its members named."""
+    columns = min(4, len(problems))
+    rows = -(-len(problems) // columns)
+    height = 3.7 * rows + 1.5
+    figure, axes = plt.subplots(rows, columns, figsize=(max(4.8 * columns, 10), height), squeeze=False, dpi=130)
+    for ax in axes.flat[len(problems) :]:
+        ax.axis("off")
+    for problem, ax in zip(problems, axes.flat, strict=False):
+        _panel(ax, problem, table[table["problem"] == problem.name])
+    handles = [Line2D([], [], color=c, marker=m, ls="", ms=8, label=text) for c, m, text in KINDS.values()]
+    handles.append(Line2D([], [], color=INK, lw=1.2, label="Pareto front"))
+    figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, fontsize=9.5)
+    figure.suptitle("Error against run time of the object's physics", fontsize=15, color=INK, x=0.01, y=1 - 0.1 / height,
+                    ha="left", va="top")  # fmt: skip
+    under = f"{noted['machine']}; {noted['threads']} thread; taichi {noted['taichi']}; commit {noted['commit'][:10]}"
+    figure.text(0.01, 1 - 0.45 / height, under, fontsize=9, color=MUTED, va="top")
+    figure.tight_layout(rect=(0, 0.65 / height, 1, 1 - 0.6 / height), h_pad=2.0)
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def _panel(ax: Axes, problem: Problem, rows: pd.DataFrame) -> None:
+    rows = rows[np.isfinite(rows["error"])]
+    floor = rows.loc[rows["error"] > EXACT, "error"].min() / 10
+    rows = rows.assign(drawn=rows["error"].clip(lower=floor if np.isfinite(floor) else EXACT))
+    front = rows[rows["front"]].sort_values("seconds")
+    ax.step(front["seconds"], front["drawn"], where="post", color=INK, lw=1.2, zorder=1)
+    for kind, (colour, marker, _) in KINDS.items():
+        chosen = rows[rows["kind"] == kind]
+        edges = np.where(chosen["front"], INK, "white")
+        size = 150 if marker == "*" else 60
+        ax.scatter(chosen["seconds"], chosen["drawn"], s=size, c=colour, marker=marker, edgecolors=edges, linewidths=1.0,
+                   zorder=3 if kind != "base" else 4)  # fmt: skip
+    ax.set(xscale="log", yscale="log")
+    ax.set_title(f"{problem.name}: {problem.title}", fontsize=11, color=INK, loc="left")
+    ax.set_ylabel(f"{problem.headline} error" + (" [rad]" if problem.headline == "orientation" else ""), fontsize=9)
+    ax.set_xlabel("seconds", fontsize=9)
+    ax.grid(True, which="major", color=GRID, lw=0.8)
+    ax.set_axisbelow(True)
+    ax.tick_params(labelsize=8, colors=MUTED)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    ax.margins(x=0.12, y=0.15)
+    for number, row in enumerate(front.to_dict("records")):
+        text = row["variant"] + (" (exact)" if row["error"] < EXACT else "")
+        low = number % 2 == 1 and row["error"] >= EXACT  # neighbours on the front are named on its two sides
+        ax.annotate(text, (row["seconds"], row["drawn"]), xytext=(-6, -12) if low else (5, 6), color=INK, fontsize=7.5,
+                    textcoords="offset points", ha="right" if low else "left", zorder=5)  # fmt: skip

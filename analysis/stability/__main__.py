@@ -1,0 +1,105 @@
+"""A grid of extreme cases of the object's MPM, and whether it holds in each.
+
+    python -m analysis.stability [-o FOLDER] [--jobs N] [--quick] [--family NAME]
+    python -m analysis.stability --case ID
+
+Writes stability.csv (one row a case) and stability.png (the map). Exit codes: 0 all cases hold; 1 some do not;
+2 bad arguments; 130 interrupted, with the cases not run marked so.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import pandas as pd
+
+from analysis.stability.cases import CASES, Case, quick
+from analysis.stability.verdict import Verdict
+from hoi.errors import InputError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = _parse(arguments)
+    try:
+        if options.case is not None:
+            return _one(options.case)
+        return _all(_selected(options.family, options.quick), options.jobs, options.out)
+    except (InputError, OSError) as error:
+        print(f"analysis.stability: {error}", file=sys.stderr)
+        return 2
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m analysis.stability", description="Extreme cases of the MPM.")
+    parser.add_argument("-o", "--out", type=Path, default=Path("runs/stability"), help="folder for the CSV and the map")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    parser.add_argument("--quick", action="store_true", help="a few dozen cases")
+    parser.add_argument("--family", help="only the cases of this family")
+    parser.add_argument("--case", metavar="ID", help="run one case here and print its numbers")
+    options = parser.parse_args(arguments)
+    if options.jobs < 1:
+        parser.error(f"--jobs must be 1 or more, got {options.jobs}")
+    return options
+
+
+def _selected(family: str | None, only_quick: bool) -> list[Case]:
+    cases = quick() if only_quick else list(CASES.values())
+    chosen = [case for case in cases if family in (None, case.family)]
+    if not chosen:
+        raise InputError(f"--family must be one of {', '.join(sorted({case.family for case in cases}))}, got {family}")
+    return chosen
+
+
+def _one(name: str) -> int:
+    from analysis.stability.workers import verdict_of
+
+    if name not in CASES:
+        raise InputError(f"--case must be the id of a case, see the first column of stability.csv, got {name!r}")
+    case = CASES[name]
+    verdict = verdict_of(case)
+    for key, value in (asdict(case) | asdict(verdict)).items():
+        print(f"{key:22}{value:.6g}" if isinstance(value, float) else f"{key:22}{value}")
+    return int(not verdict.good)
+
+
+def _all(cases: list[Case], jobs: int, folder: Path) -> int:
+    from analysis.stability.chart import draw
+    from analysis.stability.workers import run_all
+
+    folder.mkdir(parents=True, exist_ok=True)
+    started = time.perf_counter()
+    verdicts = {case.id: Verdict("not run") for case in cases}
+    interrupted = False
+    try:
+        for done, (case, verdict) in enumerate(run_all(cases, jobs), start=1):
+            verdicts[case.id] = verdict
+            if not verdict.good:
+                _say(f"{case.id}: {verdict.reason}\n")
+            _say(f"{done} of {len(cases)} cases\r")
+    except KeyboardInterrupt:
+        interrupted = True
+    _say(" " * 40 + "\r")
+    table = pd.DataFrame([asdict(case) | asdict(verdicts[case.id]) for case in cases])
+    table.to_csv(folder / "stability.csv", index=False)
+    draw(table, folder / "stability.png")
+    counts = table["verdict"].value_counts()
+    failed, left = counts.get("failed", 0), counts.get("not run", 0)
+    print(f"{len(cases)} cases: {counts.get('held', 0)} held, {counts.get('refused', 0)} refused as they must be, "
+          f"{counts.get('stopped', 0)} stopped as they may, {failed} failed{f', {left} not run (interrupted)' if interrupted else ''}; "
+          f"{time.perf_counter() - started:.0f} s with {jobs} processes")  # fmt: skip
+    print(folder / "stability.csv", folder / "stability.png", sep="\n")
+    if interrupted:
+        return 130
+    return int(failed > 0)
+
+
+def _say(text: str) -> None:
+    print(text, end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

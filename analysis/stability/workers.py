@@ -1,0 +1,95 @@
+"""Runs many cases in processes of their own: Taichi is one per process, and a crash there is one case's failure."""
+
+import multiprocessing
+import queue
+import signal
+import threading
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from itertools import groupby
+
+from analysis.stability.cases import Case
+from analysis.stability.trial import attempt
+from analysis.stability.verdict import Verdict, judge
+
+TIME_LIMIT = 120.0
+"""A case that has not come back by then has hung [s]."""
+BATCH = 12
+"""Cases of one compile key handed to a worker at once: compiling takes longer than most cases."""
+
+
+def verdict_of(case: Case) -> Verdict:
+    """Runs and judges one case in this process."""
+    return judge(attempt(case))
+
+
+def run_all(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
+    """Each case with its verdict as it comes, from `jobs` processes; leaving the loop early kills them."""
+    batches: queue.SimpleQueue[list[Case]] = queue.SimpleQueue()
+    for batch in _batches(cases):
+        batches.put(batch)
+    done: queue.SimpleQueue[tuple[Case, Verdict] | None] = queue.SimpleQueue()
+    stop = threading.Event()
+    for _ in range(jobs):
+        threading.Thread(target=_work, args=(batches, done, stop), daemon=True).start()
+    working = jobs
+    try:
+        while working:
+            item = done.get()
+            if item is None:
+                working -= 1
+            else:
+                yield item
+    finally:
+        stop.set()
+        _kill_workers()
+
+
+def _batches(cases: Iterable[Case]) -> list[list[Case]]:
+    """Runs of cases that share compiled kernels, the most work first so that no worker is left with it at the end."""
+    batches = []
+    for _, group in groupby(sorted(cases, key=lambda case: case.compile_key), key=lambda case: case.compile_key):
+        members = sorted(group, key=lambda case: case.particles, reverse=True)
+        batches += [members[start : start + BATCH] for start in range(0, len(members), BATCH)]
+    return sorted(batches, key=lambda batch: batch[0].particles > 5000, reverse=True)
+
+
+def _work(
+    batches: "queue.SimpleQueue[list[Case]]",
+    done: "queue.SimpleQueue[tuple[Case, Verdict] | None]",
+    stop: threading.Event,
+) -> None:
+    """One worker's thread: batch after batch in one process, which is replaced when it dies."""
+    executor = _process()
+    while not stop.is_set():
+        try:
+            batch = batches.get_nowait()
+        except queue.Empty:
+            break
+        for case in batch:
+            if stop.is_set():
+                return
+            try:
+                verdict = executor.submit(verdict_of, case).result(TIME_LIMIT)
+            except BrokenProcessPool:
+                verdict = Verdict("failed", "the process died")
+                executor = _process()
+            except TimeoutError:
+                verdict = Verdict("failed", f"no end after {TIME_LIMIT:g} s")
+                executor.shutdown(wait=False, cancel_futures=True)
+                executor = _process()
+            done.put((case, verdict))
+    executor.shutdown()
+    done.put(None)
+
+
+def _process() -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, mp_context=context, initializer=signal.signal,
+                               initargs=(signal.SIGINT, signal.SIG_IGN))  # fmt: skip
+
+
+def _kill_workers() -> None:
+    for process in multiprocessing.active_children():
+        process.kill()

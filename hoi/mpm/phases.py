@@ -1,0 +1,321 @@
+"""Leaves out the steps that an object's motion does not need: exact flight between contacts, and rest.
+
+A trajectory is walked in phases:
+
+| phase | when | how |
+| --- | --- | --- |
+| mpm | always, unless one of the others holds | every particle, every step |
+| flight | no particle can touch a plane or the collider, and the body hardly vibrates | rigid, `hoi.mpm.rigid.Flight` |
+| rest | every particle has been slow for a while, too slow to matter until the end | held where it is |
+
+Flight leaves out the vibration about the rigid motion. With its energy E_vib and the body's lowest frequency omega, no
+smaller than `lowest_frequency`, its amplitude is at most sqrt(2 E_vib / M) / omega. E_vib is taken as the largest
+kinetic energy about the rigid motion within half a period, when all of it has once been kinetic: so the strain with
+which a spin or a plastic flow holds the body in equilibrium counts for nothing. It stays frozen in the body.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hoi.data import Array, Material, ObjectState, Plane
+from hoi.mpm import rigid
+from hoi.mpm.boundary import PLANE_DEPTH
+from hoi.mpm.collider import Collider
+from hoi.mpm.materials import lame_parameters
+from hoi.mpm.solver import Simulation
+
+LOOKS_A_PERIOD = 8
+"""Looks at the body in a period of its lowest frequency."""
+STILL = 0.1
+"""How long every particle must have been slow before the body is held [s]."""
+RESOLUTION = 1e-5
+"""A flight ends no sooner than this before the earliest possible contact [s]."""
+
+
+ROUND_OFF = 1e-12
+"""Of times [s]."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the object could touch, and how far from it a particle still does."""
+
+    planes: Sequence[Plane]
+    reach: Sequence[float]
+    """Of each plane: a particle farther from it touches no node that it holds [m]."""
+    collider: Collider | None = None
+    """Its times are those of the walk."""
+    collider_reach: float = 0.0
+    """The same for the collider [m]."""
+
+    def touches(self, positions: Array) -> bool:
+        """Whether any of the particles (P, 3) is in reach of a plane."""
+        return any(
+            ((positions - plane.point) @ plane.normal).min() <= reach
+            for plane, reach in zip(self.planes, self.reach, strict=True)
+        )
+
+
+@dataclass
+class Tally:
+    """What a walk did and what it left out."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: {"mpm": 0.0, "flight": 0.0, "rest": 0.0})
+    """Time of the object in each phase [s]."""
+    changes: int = 0
+    """Of phase."""
+    vibration: float = 0.0
+    """Largest amplitude left out, relative to the object's size [-]."""
+    energy: float = 0.0
+    """Kinetic energy left out [J]."""
+    steps: int = 0
+    cfl: float = 0.0
+    dt_least: float = math.inf
+    dt_most: float = 0.0
+    compile_seconds: float = 0.0
+    collider_impulse: Array = field(default_factory=lambda: np.zeros(3))
+    """Given to the object by the collider [N s], shape (3,)."""
+    push_start: float = math.inf
+    push_end: float = -math.inf
+    """The first and last time of the walk at which it gave any [s]."""
+
+    def add(self, simulation: Simulation, began: float) -> None:
+        """Counts a simulation that is over; `began` is the time of the walk at which it started [s]."""
+        self.steps += simulation.steps
+        self.cfl = max(self.cfl, simulation.cfl)
+        self.dt_least = min(self.dt_least, simulation.dt_least)
+        self.dt_most = max(self.dt_most, simulation.dt_most)
+        self.compile_seconds += simulation.compile_seconds
+        self.collider_impulse = self.collider_impulse + simulation.collider_impulse
+        self.push_start = min(self.push_start, began + simulation.push_start)
+        self.push_end = max(self.push_end, began + simulation.push_end)
+
+    @property
+    def steps_left_out(self) -> float:
+        """Time not simulated over the mean time step."""
+        left_out = self.seconds["flight"] + self.seconds["rest"]
+        return left_out / self.seconds["mpm"] * self.steps if left_out else 0.0
+
+
+def reach_of(plane: Plane, dx: float) -> float:
+    """How far from a plane a particle's stencil still meets a node that the plane holds [m].
+
+    The stencil reaches 1.5 cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`, and in layers a whole
+    cell apart where the plane is parallel to them.
+    """
+    normal, depth = plane.normal, PLANE_DEPTH * dx
+    if np.abs(normal).max() > 1 - 1e-12:
+        height = float(plane.point @ normal)
+        depth = height - math.floor((height - depth) / dx + 1e-6) * dx
+    return 1.5 * dx * float(np.abs(normal).sum()) - depth
+
+
+def lowest_frequency(positions: Array, masses: Array, materials: Sequence[Material]) -> float:
+    """A lower bound of the angular frequency of a body's vibrations [rad/s]: 4 c_s h / l^2.
+
+    l and h are its largest and smallest extent along its principal axes, c_s the slowest shear wave. A free cube has
+    4.05 c_s / l, a ball 5.0, a square bar 10 c_s h / l^2 in bending; bodies with thin necks may be slower than this.
+    """
+    arms = positions - masses @ positions / masses.sum()
+    _, axes = np.linalg.eigh((masses[:, None] * arms).T @ arms)
+    extents = np.ptp(arms @ axes, axis=0)
+    slowest = min(math.sqrt(lame_parameters(material)[0] / material.density) for material in materials)
+    return 4 * slowest * float(extents.min() / extents.max() ** 2)
+
+
+class Walk:
+    """A trajectory, walked from one time to the next.
+
+    Args:
+        state: where it starts, at time 0.
+        masses: of the particles [kg], shape (P,).
+        start: makes the MPM simulation that goes on from (state, time of the walk).
+        end: when the walk ends [s].
+        gravity: [m/s^2], shape (3,).
+        surroundings: what the object could touch.
+        size: of the object [m].
+        moment: D, second moment of the spline's weights [m^2].
+        frequency: lower bound of the body's own [rad/s]; None where it never flies as one piece (grains, fluids).
+        tolerance: amplitude of vibration, and way crept, that may be left out, relative to `size`; None leaves out
+            nothing.
+    """
+
+    def __init__(
+        self, state: ObjectState, masses: Array, start: Callable[[ObjectState, float], Simulation], *, end: float,
+        gravity: Array, surroundings: Surroundings, size: float, moment: float, frequency: float | None,
+        tolerance: float | None,
+    ) -> None:  # fmt: skip
+        self.time, self.phase, self.tally = 0.0, "mpm", Tally()
+        self._state, self._masses, self._start, self._end = state, masses, start, end
+        self._gravity, self._around = np.asarray(gravity, dtype=np.float64), surroundings
+        self._size, self._moment, self._frequency = size, moment, frequency
+        self._tolerance, self._between_looks = 0.0, math.inf  # no looks
+        if tolerance is not None:
+            self._tolerance = tolerance
+            self._between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
+        self._begin_mpm()
+
+    def advance(self, until: float) -> tuple[ObjectState, str]:
+        """The state at time `until`, and the phase that led there."""
+        moved_by = self.phase
+        while self.time < until:
+            moved_by = self.phase
+            if self.phase == "mpm":
+                self._simulate(until)
+            elif self.phase == "flight":
+                self._fly(min(until, self._landing))
+            else:
+                self._pass(until)
+        return self._state, moved_by
+
+    def finish(self) -> Tally:
+        """The tally of the whole walk."""
+        if self.phase == "mpm":
+            self.tally.add(self.simulation, self._began)
+        return self.tally
+
+    def _begin_mpm(self) -> None:
+        self.simulation, self._began = self._start(self._state, self.time), self.time
+        self._vibration: list[float] = []  # energies about the rigid motion, since no contact was possible
+        self._still_since = math.inf
+        self._last_look = self.time
+
+    def _simulate(self, until: float) -> None:
+        # No step is cut short for a look at the body: what it does depends on the length of the steps.
+        self.simulation.step_towards(until - self._began, self._between_looks)
+        now = self._began + self.simulation.time
+        self._pass(until if until - now < ROUND_OFF else now)
+        looks = self.time - self._last_look > 0.99 * self._between_looks
+        if looks or self.time == until:
+            self._state = self.simulation.state()
+        if looks:
+            self._last_look = self.time
+            if self._rests():
+                self._hold()
+            elif self._frequency is not None:
+                self._consider_flight(self._frequency)
+
+    def _fly(self, until: float) -> None:
+        self._state = self._flight.carry(self._departed, until - self._departure)
+        self._pass(until)
+        if until >= self._landing:
+            self.phase = "mpm"
+            self.tally.changes += 1
+            self._begin_mpm()
+
+    def _pass(self, until: float) -> None:
+        self.tally.seconds[self.phase] += until - self.time
+        self.time = until
+
+    def _leave_mpm(self, phase: str, energy: float) -> None:
+        self.phase = phase
+        self.tally.changes += 1
+        self.tally.energy += energy
+        self.tally.add(self.simulation, self._began)
+
+    def _rests(self) -> bool:
+        """Whether, for a while, no particle has been fast enough to get anywhere until the end.
+
+        That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
+        """
+        collider = self._around.collider
+        speed = float(np.linalg.norm(self._state.velocities, axis=1).max())
+        slow = speed * (self._end - self.time) <= self._tolerance * self._size
+        if not slow or (collider is not None and self.time < collider.times[-1]):
+            self._still_since = math.inf
+        else:
+            self._still_since = min(self._still_since, self.time)
+        return self.time - self._still_since >= STILL
+
+    def _hold(self) -> None:
+        state = self._state
+        self._leave_mpm("rest", 0.5 * float(self._masses @ (state.velocities**2).sum(axis=1)))
+        self._state = replace(state, velocities=0 * state.velocities, affine=0 * state.affine)
+
+    def _consider_flight(self, frequency: float) -> None:
+        state, half_period = self._state, LOOKS_A_PERIOD // 2
+        if self._around.touches(state.positions):
+            self._vibration.clear()
+            return
+        motion = rigid.fit(state, self._masses, self._moment)
+        self._vibration.append(rigid.vibration_energy(state, self._masses, self._moment, motion))
+        largest = max(self._vibration[-half_period - 1 :])
+        amplitude = math.sqrt(2 * largest / motion.mass) / frequency / self._size
+        if len(self._vibration) <= half_period or amplitude > self._tolerance:
+            return
+        flight, hull = rigid.Flight(motion, self._gravity), rigid.hull(state.positions - motion.com)
+        longest = self._end - self.time
+        alone = first_contact(flight, hull, self._around, self.time, longest)
+        landing = self.time + alone if alone < longest else math.inf
+        if landing > self.time + self._between_looks:
+            self._flight, self._departed, self._departure, self._landing = flight, state, self.time, landing
+            self._leave_mpm("flight", self._vibration[-1])
+            self.tally.vibration = max(self.tally.vibration, amplitude)
+
+
+def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start: float, longest: float) -> float:
+    """How long from its start a body can fly with no particle in reach of a plane or the collider [s].
+
+    Conservative advancement: from each instant on it flies for as long as the gap is sure to last, that of its convex
+    hull with every vertex at the greatest possible speed, or that of the ball around it, which does not turn.
+
+    Args:
+        flight: free motion.
+        hull: vertices of the body about its centre of mass at the start [m], shape (V, 3).
+        around: what it could touch.
+        start: the time of the walk at which the flight starts [s].
+        longest: the answer is no longer than this [s].
+    """
+    radius = float(np.linalg.norm(hull, axis=1).max())
+    time = 0.0
+    while time < longest:
+        com, velocity = flight.com(time), flight.velocity(time)
+        vertices = hull @ flight.rotation(time).T
+        sure = math.inf
+        for plane, reach in zip(around.planes, around.reach, strict=True):
+            height = float((com - plane.point) @ plane.normal) - reach
+            rate, acceleration = float(velocity @ plane.normal), float(flight.gravity @ plane.normal)
+            ball = _time_to_close(height - radius, rate, acceleration)
+            turning = rate - flight.fastest * radius
+            sure = min(sure, max(ball, _time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
+        if around.collider is not None and start + time < around.collider.times[-1]:
+            gap, speed = _gap_to_collider(around.collider, com, start + time)
+            rate = -float(np.linalg.norm(velocity)) - speed
+            gap -= radius + around.collider_reach
+            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(flight.gravity))))
+        if sure < RESOLUTION:
+            return time
+        time += sure
+    return longest
+
+
+def _time_to_close(gap: float, rate: float, acceleration: float) -> float:
+    """The first t >= 0 with gap + rate t + acceleration t^2/2 <= 0; infinite when there is none [s]."""
+    if gap <= 0:
+        return 0.0
+    under = rate**2 - 2 * acceleration * gap
+    if under < 0 or (rate >= 0 and acceleration >= 0):
+        return math.inf
+    # the stable form of the smaller positive root
+    ahead = -rate + math.sqrt(under)
+    return 2 * gap / ahead if ahead > 0 else math.inf
+
+
+def _gap_to_collider(collider: Collider, point: Array, time: float) -> tuple[float, float]:
+    """Distance of `point` to the nearest capsule [m], and the greatest speed of any capsule at any time [m/s].
+
+    Before their first time the capsules count as already there.
+    """
+    after = int(np.clip(np.searchsorted(collider.times, time), 1, len(collider.times) - 1))
+    span = np.diff(collider.times)
+    share = np.clip((time - collider.times[after - 1]) / span[after - 1], 0, 1)
+    starts, ends = (a[after - 1] + share * (a[after] - a[after - 1]) for a in (collider.starts, collider.ends))
+    axes = ends - starts
+    along = ((point - starts) * axes).sum(-1) / np.maximum((axes**2).sum(-1), np.finfo(float).tiny)
+    nearest = starts + np.clip(along, 0, 1)[:, None] * axes
+    gap = float((np.linalg.norm(point - nearest, axis=-1) - collider.radii).min())
+    moved = np.linalg.norm(np.diff([collider.starts, collider.ends], axis=1), axis=-1)
+    return gap, float((moved / span[:, None]).max())
