@@ -31,8 +31,14 @@ lint: $(READY)  ## ruff and the type checker
 bench: $(READY)  ## seconds by stage of the default scene
 	$(BIN)/python -m analysis.bench $(ARGS)
 
+precision: $(READY)  ## error against run time of the object's physics: table, report and picture in runs/precision
+	$(BIN)/python -m analysis.precision $(ARGS)
+
 table: $(READY)  ## the table of all runs, from their records
 	$(BIN)/python -m analysis.table runs $(ARGS)
+
+stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
+	$(BIN)/python -m analysis.stability $(ARGS)
 
 sweep: $(READY)  ## all ablations of the default scene
 	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations $(ARGS)
@@ -40,4 +46,4 @@ sweep: $(READY)  ## all ablations of the default scene
 clean:  ## remove the environment and the runs
 	rm -rf .venv runs
 
-.PHONY: help setup run test lint bench table sweep clean
+.PHONY: help setup run test lint bench precision table stability sweep clean

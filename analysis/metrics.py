@@ -1,5 +1,6 @@
 """What a record says about a run: one function a number, with its unit and which way is better. No torch."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -55,16 +56,22 @@ def deepest_penetration(run: Run, points: Array) -> float:
 
 
 def object_at(run: Run, frame: float) -> Array:
-    """The object's particles at a fractional frame [m], (P, 3): linear, but for the velocity's jump at the impulse."""
+    """The object's particles at a fractional frame [m], (P, 3): linear, but for the velocity's jump at the impulse.
+
+    A push of a limb that is over within the frame is taken as one speed between the speeds before and after.
+    """
     trajectory, push = run.state.trajectory, run.state.contact and run.state.contact.push
     assert trajectory is not None
     first = min(int(frame), len(trajectory.positions) - 2)
     before, after = trajectory.positions[first], trajectory.positions[first + 1]
-    if push is not None and first < push.frame < first + 1:
+    over = math.inf if push is None or run.scene is None else push.frame + push.duration * run.scene.fps
+    if push is not None and first < push.frame and over < first + 1:
         velocity = trajectory.com_velocity / run.scene.fps if run.scene else trajectory.com_velocity
-        if frame < push.frame:
-            return before + (frame - first) * velocity[first]
-        return after - (first + 1 - frame) * velocity[first + 1]
+        coming = before + (min(frame, push.frame) - first) * velocity[first]
+        leaving = after - (first + 1 - max(frame, over)) * velocity[first + 1]
+        if frame <= push.frame:
+            return coming
+        return leaving if frame >= over else coming + (frame - push.frame) / (over - push.frame) * (leaving - coming)
     return before + (frame - first) * (after - before)
 
 

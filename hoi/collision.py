@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from hoi.body.capsules import Capsules, carry, distance_to_axes, fit_capsules
 from hoi.body.skeleton import JOINT_NAMES
@@ -33,7 +34,7 @@ def limb_collider(
 
     Each joint's capsules are fitted once and carried along by the joint, `conf.samples` times a frame, with the motion
     interpolated as everywhere else. A limb other than the one that strikes pushes only if it is outside the object by
-    then too.
+    then too. No capsule is thinner than the object's Gaussians are apart: it would slip in between them.
 
     Args:
         free: the object's free motion, in which `contact` was found.
@@ -76,14 +77,23 @@ def limb_collider(
         elif len(limb[0].joints):
             notes.append(f"the {chain} is in the object when the {striker} comes to push it: it pushes nothing")
     capsules, starts, ends = zip(*limbs, strict=True)
+    fitted, least = np.concatenate([each.radii for each in capsules]), spacing(scene.object.cloud.means)
+    if fitted.min() < least:
+        notes.append(f"limbs thinner than the object's Gaussians are apart push as if of radius {least:.3f} m")
     collider = Collider(
         times=frames[first:] / scene.fps,
         starts=np.concatenate(starts, axis=1)[first:],
         ends=np.concatenate(ends, axis=1)[first:],
-        radii=np.concatenate([each.radii for each in capsules]),
+        radii=np.maximum(fitted, least),
         friction=conf.friction,
     )
     return collider, tuple(notes)
+
+
+def spacing(points: Array) -> float:
+    """How far apart neighbours among points (N, 3) are [m]: the 90th percentile."""
+    apart, _ = KDTree(points).query(points, k=2)
+    return float(np.percentile(apart[:, 1], 90))
 
 
 def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:

@@ -136,7 +136,8 @@ def outcome(config: Config, state: State) -> str:
     limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
-    if config.stage.contact.model is not ContactModel.collider or state.trajectory is None:
+    contact = config.stage.contact
+    if not isinstance(contact, ImpulseConf) or contact.model is ContactModel.impulse or state.trajectory is None:
         return what
     left = push.frame + push.duration * config.scene.fps
     after = state.trajectory.com_velocity[min(math.ceil(left), len(state.trajectory.com_velocity) - 1)]

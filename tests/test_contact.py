@@ -82,6 +82,7 @@ def test_head_on_strike(fist):
     assert contact.v_in == pytest.approx(3, rel=0.01)
     np.testing.assert_allclose(contact.v_post, 1.6 * contact.v_in * contact.normal, atol=1e-9)
     np.testing.assert_allclose(contact.impulse, 0.43 * contact.v_post, atol=1e-9)
+    assert contact.duration == 0
 
 
 @pytest.mark.parametrize("speed", [10.0, 20.0])

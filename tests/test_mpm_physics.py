@@ -12,7 +12,7 @@ from hoi.mpm.stability import choose_time_step
 from hoi.mpm.state import angular_momentum, centre_of_mass, energies, initial_state, kick, linear_momentum
 
 G = 9.81
-DT = choose_time_step(RUBBER, DX, 5.0)
+DT = choose_time_step(RUBBER, DX, 5.0, fraction=0.5)
 
 
 def run(state: ObjectState, volumes: np.ndarray, times, material=RUBBER, **options) -> SimulationResult:

@@ -9,7 +9,7 @@ from mpm_bodies import DX, RUBBER, block
 from hoi.data import Material, ObjectState
 from hoi.errors import InputError, RunError
 from hoi.mpm.solver import simulate
-from hoi.mpm.stability import STABLE_CFL, cfl_number, choose_time_step, time_step_limit
+from hoi.mpm.stability import DEFAULT_FRACTION, STABLE_CFL, cfl_number, choose_time_step, time_step_limit
 from hoi.mpm.state import energies, initial_state
 
 PAPER = Material("paper", "fixed_corotated", 1e7, 0.45, 1000.0, 0.6, 0.5)
@@ -39,8 +39,8 @@ def test_paper_setting_is_allowed() -> None:
         assert choose_time_step(material, 2 / 64, 10.0, dt=4e-5) == 4e-5
 
 
-def test_chosen_step_is_half_the_limit() -> None:
-    assert choose_time_step(PAPER, DX, 5.0) == 0.5 * time_step_limit(PAPER, DX, 5.0)
+def test_chosen_step_is_a_share_of_the_limit() -> None:
+    assert choose_time_step(PAPER, DX, 5.0) == DEFAULT_FRACTION * time_step_limit(PAPER, DX, 5.0)
     assert cfl_number(PAPER, DX, time_step_limit(PAPER, DX, 5.0), 5.0) == pytest.approx(STABLE_CFL)
 
 

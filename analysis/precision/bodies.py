@@ -1,4 +1,6 @@
-"""Bodies for the problems: even particles with smooth surfaces, and presets of the project's materials."""
+"""Bodies for the problems, of even particles with smooth surfaces; the project's own materials and tolerance."""
+
+from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
@@ -41,5 +43,15 @@ def ball(radius: float, dx: float) -> tuple[Array, Array]:
 
 def preset(name: str) -> Material:
     """The material of `conf/material/NAME.yaml`."""
-    values = OmegaConf.load(CONF / "material" / f"{name}.yaml")
+    values = _settings("material", name)
     return Material(**{key: values[key] for key in Material.__dataclass_fields__ if key in values})
+
+
+def vibration_tolerance() -> float:
+    """What phases leave out by default, of `conf/stage/object/mpm.yaml` [sizes of the object]."""
+    return float(_settings("stage", "object", "mpm")["vibration_tolerance"])
+
+
+def _settings(*name: str) -> dict[str, Any]:
+    values: Any = OmegaConf.to_container(OmegaConf.load(CONF.joinpath(*name).with_suffix(".yaml")))
+    return values

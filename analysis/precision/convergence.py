@@ -2,9 +2,9 @@
 
 What theory says of positions, dt being a fixed share of the limit and so proportional to dx: order 2.
 - Space: B-splines reproduce linear functions, and the APIC transfer takes a smooth velocity to v + O(dx^4 v'''') and
-  back; the stress enters through a gradient that is second order. This holds for both splines: the cubic one is smoother,
-  but its gradient, with D = dx^2/3, is not of higher order. At a free face the gradient is only first order, in a
-  layer a cell thick where the stress itself is O(dx): the sum stays second order.
+  back; the stress enters through a gradient that is second order. This holds for both splines: the cubic one is
+  smoother, but its gradient, with D = dx^2/3, is not of higher order. At a free face the gradient is only first
+  order, in a layer a cell thick where the stress itself is O(dx): the sum stays second order.
 - Time: symplectic Euler is leapfrog with velocities half a step late. A start without strain has no acceleration, so
   that the half step changes nothing and positions are second order in dt. A start under strain lacks the kick
   of half a step, an O(dt) change of the initial velocity: positions, and velocities as read, are first order.
@@ -78,7 +78,8 @@ def by_grid(table: pd.DataFrame) -> list[Order]:
     """Orders of each problem's headline error over its grids, with what else is the base's."""
     orders = []
     for problem in table["problem"].unique():
-        rows = table[(table["problem"] == problem) & table["kind"].isin(["base", "grid"])].sort_values("cells")
+        chosen = (table["problem"] == problem) & table["kind"].isin(["base", "grid"])
+        rows = pd.DataFrame(table[chosen]).sort_values("cells")
         if problem in THEORY and len(rows) > 1:
             orders.append(Order(problem, rows["headline"].iloc[0], tuple(rows["cells"]), tuple(rows["error"]),
                                 THEORY[problem]))  # fmt: skip

@@ -73,7 +73,7 @@ def probe_weights(particles: Array, probes: Array) -> Array:
     moment = np.einsum("mn,mni,mnj->mij", bell, basis, basis)
     at_probe = np.linalg.solve(moment, np.eye(4)[:1].T)[..., 0]  # the basis at the probe is (1, 0, 0, 0)
     weights = np.zeros((len(probes), len(particles)))
-    np.put_along_axis(weights, near, bell * np.einsum("mni,mi->mn", basis, at_probe), axis=1)
+    np.put_along_axis(weights, np.asarray(near), bell * np.einsum("mni,mi->mn", basis, at_probe), axis=1)
     return weights
 
 

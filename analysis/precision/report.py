@@ -14,14 +14,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from analysis.precision.convergence import Order
 from analysis.precision.problems import Problem
+from analysis.precision.run import STAND_INS
 from hoi.provenance import git_state
 
 INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
 KINDS = {
-    "base": ("#22262b", "o", "base: 0.5 of the limit, quadratic"),
+    "base": ("#22262b", "o", "base: middle grid, quadratic"),
     "dt": ("#2b6cb0", "s", "time step"),
     "grid": ("#c2571a", "D", "grid"),
     "spline": ("#2f855a", "^", "cubic spline"),
@@ -34,8 +36,8 @@ KINDS = {
 """Kind of variant -> colour, marker, what the legend calls it."""
 EXACT = 1e-11
 """Errors below this are called exact, and drawn at the lower edge where they would crush the others together."""
-FIRST = ["problem", "kind", "variant", "cells", "fraction", "spline", "precision", "model", "particles", "steps", "seconds",
-         "repeats", "headline", "error", "front", "com", "orientation", "shape", "position"]  # fmt: skip
+FIRST = ["problem", "kind", "variant", "cells", "fraction", "spline", "precision", "model", "particles", "steps",
+         "seconds", "repeats", "headline", "error", "front", "com", "orientation", "shape", "position"]  # fmt: skip
 """Columns of the CSV, in this order; the further numbers of the problems follow."""
 
 
@@ -73,13 +75,11 @@ def write(
 # --- words -----------------------------------------------------------------------------------------------------------
 
 
-def markdown(
-    problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[Order], noted: dict[str, str]
-) -> str:
+def markdown(problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[Order], noted: dict[str, str]) -> str:
     """The report as text."""
     parts = ["# Error against run time of the object's physics", _list(noted), "## Observed orders", _orders(orders)]
     for problem in problems:
-        rows = table[table["problem"] == problem.name]
+        rows = pd.DataFrame(table[table["problem"] == problem.name])
         parts.append(f"## {problem.name}: {problem.title}")
         if problem.notes:
             parts.append(_list({name: f"{value:.4g}" for name, value in problem.notes.items()}))
@@ -88,8 +88,9 @@ def markdown(
 
 
 def _rows(rows: pd.DataFrame, problem: Problem) -> str:
-    further = [c for c in rows if c not in FIRST and c not in ("failed", problem.headline) and rows[c].notna().any()]
-    numbers = [*(name for name in problem.known if rows[name].notna().any()), *further]
+    known = set(rows.columns[rows.notna().any()])
+    further = [c for c in rows if c in known - {*FIRST, "failed", problem.headline}]
+    numbers = [*(name for name in problem.known if name in known), *further]
     if problem.headline not in problem.known:
         numbers.insert(0, problem.headline)
     lines = [["variant", "cells", "s", *(_unit(name) for name in numbers), "front"]]
@@ -105,7 +106,9 @@ def _orders(orders: Sequence[Order]) -> str:
     for o in orders:
         errors = " ".join(f"{error:.2e}" for error in o.errors)
         theory = "" if o.expected is None else f"{o.expected:g}"
-        lines.append([o.series, o.quantity, " ".join(map(str, o.cells)), errors, f"{o.observed:.2f}", theory, o.verdict])
+        lines.append(
+            [o.series, o.quantity, " ".join(map(str, o.cells)), errors, f"{o.observed:.2f}", theory, o.verdict]
+        )
     return _table(lines)
 
 
@@ -136,12 +139,12 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
     for ax in axes.flat[len(problems) :]:
         ax.axis("off")
     for problem, ax in zip(problems, axes.flat, strict=False):
-        _panel(ax, problem, table[table["problem"] == problem.name])
+        _panel(ax, problem, pd.DataFrame(table[table["problem"] == problem.name]))
     handles = [Line2D([], [], color=c, marker=m, ls="", ms=8, label=text) for c, m, text in KINDS.values()]
     handles.append(Line2D([], [], color=INK, lw=1.2, label="Pareto front"))
     figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, fontsize=9.5)
-    figure.suptitle("Error against run time of the object's physics", fontsize=15, color=INK, x=0.01, y=1 - 0.1 / height,
-                    ha="left", va="top")  # fmt: skip
+    title = "Error against run time of the object's physics"
+    figure.text(0.01, 1 - 0.1 / height, title, fontsize=15, color=INK, va="top")
     under = f"{noted['machine']}; {noted['threads']} thread; taichi {noted['taichi']}; commit {noted['commit'][:10]}"
     figure.text(0.01, 1 - 0.45 / height, under, fontsize=9, color=MUTED, va="top")
     figure.tight_layout(rect=(0, 0.65 / height, 1, 1 - 0.6 / height), h_pad=2.0)
@@ -150,29 +153,60 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
 
 
 def _panel(ax: Axes, problem: Problem, rows: pd.DataFrame) -> None:
-    rows = rows[np.isfinite(rows["error"])]
+    """One problem. The stand-ins take no time to speak of: they stand at the left edge, whatever they take."""
+    rows = pd.DataFrame(rows[np.isfinite(rows["error"])])
+    stands_in = rows["kind"].isin(list(STAND_INS))
+    fastest = rows.loc[~stands_in, "seconds"].min()
     floor = rows.loc[rows["error"] > EXACT, "error"].min() / 10
-    rows = rows.assign(drawn=rows["error"].clip(lower=floor if np.isfinite(floor) else EXACT))
-    front = rows[rows["front"]].sort_values("seconds")
-    ax.step(front["seconds"], front["drawn"], where="post", color=INK, lw=1.2, zorder=1)
+    rows = rows.assign(
+        x=rows["seconds"].where(~stands_in, fastest / 3), y=rows["error"].clip(lower=floor), edge=stands_in
+    )
+    front = pd.DataFrame(rows[rows["front"]]).sort_values("seconds")
+    ax.step(front["x"], front["y"], where="post", color=INK, lw=1.2, zorder=1)
     for kind, (colour, marker, _) in KINDS.items():
         chosen = rows[rows["kind"] == kind]
-        edges = np.where(chosen["front"], INK, "white")
+        edges = [INK if on_front else "white" for on_front in chosen["front"]]
         size = 150 if marker == "*" else 60
-        ax.scatter(chosen["seconds"], chosen["drawn"], s=size, c=colour, marker=marker, edgecolors=edges, linewidths=1.0,
-                   zorder=3 if kind != "base" else 4)  # fmt: skip
+        ax.scatter(chosen["x"], chosen["y"], s=size, c=colour, marker=marker, edgecolors=edges, linewidths=1.0,
+                   zorder=4 if kind in ("base", "phases") else 3, clip_on=False)  # fmt: skip
+    _style(ax, problem)
+    ax.set_xlim(fastest / 3, 1.5 * float(rows["x"].to_numpy().max()))
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        axis.set_minor_formatter(NullFormatter())
+        if high < 200 * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    _name(ax, pd.DataFrame(rows[rows["edge"] | rows["front"] | (rows["error"] < EXACT)]).sort_values("seconds"))
+
+
+def _style(ax: Axes, problem: Problem) -> None:
     ax.set(xscale="log", yscale="log")
+    ax.margins(y=0.15)
     ax.set_title(f"{problem.name}: {problem.title}", fontsize=11, color=INK, loc="left")
     ax.set_ylabel(f"{problem.headline} error" + (" [rad]" if problem.headline == "orientation" else ""), fontsize=9)
     ax.set_xlabel("seconds", fontsize=9)
     ax.grid(True, which="major", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-    ax.tick_params(labelsize=8, colors=MUTED)
+    ax.tick_params(which="both", labelsize=8, colors=MUTED)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
-    ax.margins(x=0.12, y=0.15)
-    for number, row in enumerate(front.to_dict("records")):
-        text = row["variant"] + (" (exact)" if row["error"] < EXACT else "")
-        low = number % 2 == 1 and row["error"] >= EXACT  # neighbours on the front are named on its two sides
-        ax.annotate(text, (row["seconds"], row["drawn"]), xytext=(-6, -12) if low else (5, 6), color=INK, fontsize=7.5,
-                    textcoords="offset points", ha="right" if low else "left", zorder=5)  # fmt: skip
+
+
+def _name(ax: Axes, rows: pd.DataFrame) -> None:
+    """Names beside points: the stand-ins' with what they take, the front's below it, where nothing is."""
+    point = ax.figure.dpi / 72
+    lowest = above = np.inf
+    for row in rows.to_dict("records"):
+        at = ax.transData.transform((row["x"], row["y"]))[1] / point
+        text = row["variant"]
+        if row["edge"]:
+            taken = 1000 * row["seconds"]
+            text += f", {taken:.0f} ms" if taken >= 1 else f", {taken:.1g} ms"
+            place, align = (9, -9 if abs(at - above) < 16 else 5), "left"
+            above = at
+        else:
+            lowest = min(at - 9, lowest - 8)
+            place, align = (-7, lowest - at), "right"
+        text += ", exact" if row["error"] < EXACT else ""
+        ax.annotate(text, (row["x"], row["y"]), xytext=place, color=INK, fontsize=7.5, zorder=5,
+                    textcoords="offset points", ha=align, va="center")  # fmt: skip

@@ -22,10 +22,12 @@ def bounce() -> Problem:
 
     def body(dx: float) -> tuple[ObjectState, Array]:
         points, volumes = ball(size / 2, dx)
-        return initial_state(points + [0, 0, size / 2 + 0.05], volumes, (4, 0, -6)), volumes
+        return initial_state(points + np.array([0, 0, size / 2 + 0.05]), volumes, (4, 0, -6)), volumes
 
-    times = np.linspace(0, 0.12, 31)[1:]
-    return Problem("bounce", "football bounces", "position", size, material, body, times, CELLS, planes=(ground(material),))
+    times = np.linspace(0, 0.08, 31)[1:]
+    return Problem(
+        "bounce", "football bounces", "position", size, material, body, times, CELLS, planes=(ground(material),)
+    )
 
 
 def box() -> Problem:
@@ -49,16 +51,18 @@ def punch() -> Problem:
 
     def body(dx: float) -> tuple[ObjectState, Array]:
         points, volumes = block((size, size, size), dx)
-        rest = initial_state(points + [0, 0, size / 2], volumes, (0, 0, 0))
+        rest = initial_state(points + np.array([0, 0, size / 2]), volumes, (0, 0, 0))
         reach = 0.4 * size
-        away = points + [size / 2, 0, 0]
+        away = points + np.array([size / 2, 0, 0])
         bell = np.exp(-((away / reach) ** 2).sum(axis=1))
         speed = np.array([6.0, 0.0, 0.0])
         affine = speed[:, None] * (-2 * away / reach**2 * bell[:, None])[:, None, :]
         return ObjectState(rest.positions, bell[:, None] * speed, affine, rest.deformation_gradient), volumes
 
     times = np.linspace(0, 0.08, 31)[1:]
-    return Problem("punch", "foam cube punched", "position", size, material, body, times, CELLS, planes=(ground(material),))
+    return Problem(
+        "punch", "foam cube punched", "position", size, material, body, times, CELLS, planes=(ground(material),)
+    )
 
 
 SCENES = (bounce, box, punch)

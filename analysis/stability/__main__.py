@@ -11,6 +11,7 @@ import argparse
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -72,29 +73,30 @@ def _all(cases: list[Case], jobs: int, folder: Path) -> int:
 
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
-    verdicts = {case.id: Verdict("not run") for case in cases}
+    results = {case.id: (case, Verdict("not run")) for case in cases}
     interrupted = False
     try:
+        _say(f"0 of {len(cases)} cases\r")
         for done, (case, verdict) in enumerate(run_all(cases, jobs), start=1):
-            verdicts[case.id] = verdict
+            results[case.id] = case, verdict
             if not verdict.good:
                 _say(f"{case.id}: {verdict.reason}\n")
             _say(f"{done} of {len(cases)} cases\r")
     except KeyboardInterrupt:
         interrupted = True
     _say(" " * 40 + "\r")
-    table = pd.DataFrame([asdict(case) | asdict(verdicts[case.id]) for case in cases])
+    table = pd.DataFrame([asdict(case) | asdict(verdict) for case, verdict in results.values()])
     table.to_csv(folder / "stability.csv", index=False)
-    draw(table, folder / "stability.png")
-    counts = table["verdict"].value_counts()
-    failed, left = counts.get("failed", 0), counts.get("not run", 0)
-    print(f"{len(cases)} cases: {counts.get('held', 0)} held, {counts.get('refused', 0)} refused as they must be, "
-          f"{counts.get('stopped', 0)} stopped as they may, {failed} failed{f', {left} not run (interrupted)' if interrupted else ''}; "
-          f"{time.perf_counter() - started:.0f} s with {jobs} processes")  # fmt: skip
+    draw(results, folder / "stability.png")
+    counts = Counter(verdict.verdict for _, verdict in results.values())
+    left = f", {counts['not run']} not run: interrupted" if interrupted else ""
+    print(
+        f"{len(cases)} cases: {counts['held']} held, {counts['refused']} refused as they must be, {counts['stopped']} "
+        f"stopped as they may, {counts['failed']} failed{left}; "
+        f"{time.perf_counter() - started:.0f} s with {jobs} processes"
+    )
     print(folder / "stability.csv", folder / "stability.png", sep="\n")
-    if interrupted:
-        return 130
-    return int(failed > 0)
+    return 130 if interrupted else int(counts["failed"] > 0)
 
 
 def _say(text: str) -> None:

@@ -1,5 +1,7 @@
 """The map: a panel a family, a tile a case, coloured by its verdict and by how much of the limits it took."""
 
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -7,12 +9,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from analysis.stability.verdict import shares
+from analysis.stability.cases import Case
+from analysis.stability.verdict import Verdict, shares
 
 INK, MUTED, FAILED, REFUSED, STOPPED, NOT_RUN = "#22262b", "#7a828c", "#c81e3a", "#a9bdd6", "#8a7ca8", "#ffffff"
 MARGIN = LinearSegmentedColormap.from_list("margin", ["#1b7a4b", "#8fc98a", "#f2e394"])
@@ -26,10 +29,12 @@ MARKS = {"energy": "E", "momentum": "M", "angular momentum": "M", "cells deeper"
 """What a failed tile says, by a word of its reason; "!" for an error."""
 
 
-def draw(table: pd.DataFrame, path: Path) -> None:
-    """Writes the map of `table`, the columns of Case and Verdict, as a PNG."""
-    families = list(dict.fromkeys(table["family"]))
-    panels = [_Panel(table[table["family"] == family]) for family in families]
+def draw(results: Mapping[str, tuple[Case, Verdict]], path: Path) -> None:
+    """Writes the map of the results by id as a PNG."""
+    families: dict[str, list[tuple[Case, Verdict]]] = {}
+    for case, verdict in results.values():
+        families.setdefault(case.family, []).append((case, verdict))
+    panels = [_Panel(family) for family in families.values()]
     heights = np.zeros(COLUMNS)
     places = []
     for panel in panels:
@@ -45,7 +50,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             len(panel.columns) * TILE_WIDTH / width,
             len(panel.rows) * TILE_HEIGHT / height,
         )))  # fmt: skip
-    _legend(figure, table, height)
+    _legend(figure, results, height)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -53,23 +58,23 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 class _Panel:
     """One family: the last value of an id runs along x, the others along y."""
 
-    def __init__(self, table: pd.DataFrame) -> None:
-        values = [name.split("/")[1:] for name in table["id"]]
-        self.title = str(table["family"].iloc[0]).replace("_", " ")
+    def __init__(self, results: list[tuple[Case, Verdict]]) -> None:
+        values = [case.id.split("/")[1:] for case, _ in results]
+        self.title = results[0][0].family.replace("_", " ")
         flat = max(len(value) for value in values) == 1 and len(values) > 8
         self.places = [(value[-1], "") if flat else (" ".join(value[:-1]), value[-1]) for value in values]
         self.rows = list(dict.fromkeys(row for row, _ in self.places))
         self.columns = list(dict.fromkeys(column for _, column in self.places))
         self.turned = max(len(column) for column in self.columns) > 6
-        self.table = table
+        self.results = results
 
     @property
     def height(self) -> float:
         return HEAD + len(self.rows) * TILE_HEIGHT + FOOT + (0.45 if self.turned else 0.0)
 
     def draw(self, axes: Axes) -> None:
-        for (row, column), (_, case) in zip(self.places, self.table.iterrows(), strict=True):
-            _tile(axes, self.columns.index(column), self.rows.index(row), case)
+        for (row, column), (case, verdict) in zip(self.places, self.results, strict=True):
+            _tile(axes, self.columns.index(column), self.rows.index(row), case, verdict)
         axes.set_xlim(0, len(self.columns))
         axes.set_ylim(len(self.rows), 0)
         axes.set_xticks(np.arange(len(self.columns)) + 0.5, self.columns, fontsize=7, color=INK)
@@ -81,28 +86,35 @@ class _Panel:
         axes.set_title(self.title, fontsize=9, fontweight="bold", color=INK, loc="left", pad=4)
 
 
-def _tile(axes: Axes, x: int, y: int, case: pd.Series) -> None:
-    used = max(shares(case), default=0.0)
-    colour = {"failed": FAILED, "refused": REFUSED, "stopped": STOPPED, "not run": NOT_RUN}.get(case["verdict"], MARGIN(min(used, 1.0)))
-    axes.add_patch(Rectangle((x, y), 1, 1, facecolor=colour, edgecolor="white" if case["verdict"] != "not run" else MUTED,
-                             linewidth=1.2 if case["verdict"] != "not run" else 0.4))  # fmt: skip
-    if case["verdict"] == "failed":
-        mark = next((mark for word, mark in MARKS.items() if word in str(case["reason"])[:30]), "!")
+def _tile(axes: Axes, x: int, y: int, case: Case, verdict: Verdict) -> None:
+    held = MARGIN(min(max(shares(case, verdict), default=0.0), 1.0))
+    colours = {"failed": FAILED, "refused": REFUSED, "stopped": STOPPED, "not run": NOT_RUN}
+    edge, width = (MUTED, 0.4) if verdict.verdict == "not run" else ("white", 1.2)
+    axes.add_patch(
+        Rectangle((x, y), 1, 1, facecolor=colours.get(verdict.verdict, held), edgecolor=edge, linewidth=width)
+    )
+    if verdict.verdict == "failed":
+        mark = next((mark for word, mark in MARKS.items() if word in verdict.reason[:30]), "!")
         axes.text(x + 0.5, y + 0.53, mark, color="white", fontsize=7, fontweight="bold", ha="center", va="center")
 
 
-def _legend(figure: plt.Figure, table: pd.DataFrame, height: float) -> None:
-    counts = table["verdict"].value_counts()
+def _legend(figure: Figure, results: Mapping[str, tuple[Case, Verdict]], height: float) -> None:
+    counts = Counter(verdict.verdict for _, verdict in results.values())
     figure.text(0.01, 1 - 0.22 / height, "Extreme cases of the object's MPM", fontsize=15, fontweight="bold", color=INK,
                 va="center")  # fmt: skip
-    text = ", ".join(f"{counts[name]} {name}" for name in ("held", "refused", "stopped", "failed", "not run") if name in counts)
-    figure.text(0.01, 1 - 0.52 / height, f"{len(table)} cases: {text}", fontsize=10, color=INK, va="center")
+    text = ", ".join(
+        f"{counts[name]} {name}" for name in ("held", "refused", "stopped", "failed", "not run") if name in counts
+    )
+    figure.text(0.01, 1 - 0.52 / height, f"{len(results)} cases: {text}", fontsize=10, color=INK, va="center")
     patches = [
         Patch(color=MARGIN(0.0), label="held, far from every limit"),
         Patch(color=MARGIN(0.5), label="half of a limit taken"),
         Patch(color=MARGIN(1.0), label="just held"),
         Patch(color=REFUSED, label="refused, as it must be"),
-        Patch(color=STOPPED, label="stopped in one line, as it may: crushed beyond what the law can store, or a fixed step too long for it"),
+        Patch(
+            color=STOPPED,
+            label="stopped in one line, as it may: crushed flat, or its fixed step too long",
+        ),
         Patch(color=FAILED, label="failed: E energy, M momentum, P penetration, R refusal, ! error"),
         Patch(facecolor=NOT_RUN, edgecolor=MUTED, label="not run"),
     ]

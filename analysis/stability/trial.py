@@ -58,7 +58,10 @@ class _Trial:
         self.spread = {"quadratic": 1 / 4, "cubic": 1 / 3}[case.spline]
         self.materials, self.region = self.material, None
         if case.other_stiffness:
-            self.materials = [self.material, replace(self.material, youngs_modulus=case.other_stiffness * case.youngs_modulus)]
+            self.materials = [
+                self.material,
+                replace(self.material, youngs_modulus=case.other_stiffness * case.youngs_modulus),
+            ]
             self.region = (positions[:, 0] > np.median(positions[:, 0])).astype(np.int32)
         self.gravity = np.array([0.0, 0.0, -case.gravity])
         self.direction = _direction(case.heading, out)
@@ -112,9 +115,19 @@ class _Trial:
         self._look(after)
 
     def _simulation(self, state: ObjectState) -> Simulation:
-        return Simulation(state, self.volumes, self.materials, region=self.region, dx=self.case.dx, dt=self.dt, gravity=self.gravity,
-                          planes=self.planes, collider=self.collider, spline=self.case.spline,
-                          precision=self.case.precision)  # fmt: skip
+        return Simulation(
+            state,
+            self.volumes,
+            self.materials,
+            region=self.region,
+            dx=self.case.dx,
+            dt=self.dt,
+            gravity=self.gravity,
+            planes=self.planes,
+            collider=self.collider,
+            spline=self.case.spline,
+            precision=self.case.precision,
+        )
 
     def _energies(self, state: ObjectState) -> Array:
         return self.simulation.energies(state)

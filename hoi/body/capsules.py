@@ -101,7 +101,7 @@ def fit_union(points: Array) -> tuple[Array, Array, Array]:
     """
     best, best_coverage = None, -1.0
     for count in range(1, MOST + 1):
-        owner = kmeans2(points, count, minit="++", seed=0)[1] if count > 1 else np.zeros(len(points), np.int32)
+        owner = kmeans2(points, _spread(points, count), minit="matrix")[1]
         for _ in range(ROUNDS if count > 1 else 1):
             shares = [points[owner == i] for i in range(count)]
             fits = [fit_capsule(share) for share in shares if len(share) >= FEWEST]
@@ -114,6 +114,16 @@ def fit_union(points: Array) -> tuple[Array, Array, Array]:
             break
     assert best is not None
     return best
+
+
+def _spread(points: Array, count: int) -> Array:
+    """`count` of the points, each the farthest from those before it, the first from the middle: (count, 3)."""
+    chosen = np.empty((0, 3))
+    apart = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    for _ in range(count):
+        chosen = np.vstack([chosen, points[apart.argmax()]])
+        apart = np.linalg.norm(points[:, None] - chosen, axis=2).min(axis=1)
+    return chosen
 
 
 def fit_capsules(body: Body, joints: Iterable[int]) -> Capsules:

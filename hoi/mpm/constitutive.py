@@ -305,21 +305,25 @@ def greatest(b):
 def stiffness(model: ti.template(), f, j, p, hardening):
     """M [Pa], an upper bound of rho_0 c^2 for every wave in the deformed state; lambda + 2 mu at rest for nu >= 0.
 
+    It is the bound B_c below and the norm of tau: where a body is so strained that its stress is not small beside B_c,
+    the grid is stiffer than the material, as forces change with where in its cell a particle is. Measured, the norm of
+    tau is enough to make up for that (`hoi.mpm.stability`).
+
     c is in present lengths: rho_0 c^2 is the greatest eigenvalue of Q with a . Q a = d^2/ds^2 psi((I + s a n^T) F)
     at s = 0, over unit normals n. With t = a . n and the eigenvalues of b at most B:
 
     neo_hookean: a . Q a = mu n . b n + (mu + lambda (1 - log J)) t^2, as d^2 |F|^2 = 2 n . b n, d log J = t and
-    d^2 log J = -t^2. So M = mu B + max(0, mu + lambda (1 - log J)).
+    d^2 log J = -t^2. So B_c = mu B + max(0, mu + lambda (1 - log J)).
     fixed_corotated: psi = mu (|F|^2 - 2 tr V + 3) + lambda/2 (J - 1)^2. tr V is convex in F, and J linear in s with
-    slope J t. So M = 2 mu B + max(0, lambda) J^2. Snow: h times that.
+    slope J t. So B_c = 2 mu B + max(0, lambda) J^2. Snow: h times that.
     Hencky: with eigenvalues tau_i of tau and x_ij = log(b_i/b_j), in their frame
     a . Q a = lambda t^2 + 2 mu sum a_i^2 n_i^2 + sum_{i != j} g_ij (a_i^2 n_j^2 + a_i n_i a_j n_j) - t a . tau n,
     g_ij = mu x_ij / (exp(x_ij) - 1). The mean of g_ij and g_ji is mu y coth(y) <= mu sqrt(1 + y^2) =: g, with y the
     difference of the two strains, at most sqrt(2) |e|; half their difference is mu y. So the sums are at most
     g (1 + t^2) + mu y. The last term is at most max(0, -least tau_i) + mu y / 4: for symmetric s >= 0 with eigenvalues
     up to r, -t a . s n <= (|s n| - n . s n) / 2 <= r / 8. So
-    M = lambda + 2 mu sqrt(1 + y^2) + 5/4 mu y + max(0, -least tau_i). Flowing only softens it.
-    fluid: M = J^2 psi''(J) = K J^(1 - g). Viscosity limits the step apart from this (`hoi.mpm.stability`).
+    B_c = lambda + 2 mu sqrt(1 + y^2) + 5/4 mu y + max(0, -least tau_i). Flowing only softens it.
+    fluid: B_c = J^2 psi''(J) = K J^(1 - g). Viscosity limits the step apart from this (`hoi.mpm.stability`).
     """
     m = 0.0
     if ti.static(model == "fluid"):
@@ -339,4 +343,5 @@ def stiffness(model: ti.template(), f, j, p, hardening):
             y = ROOT_2 * size
             least = 3.0 * p[LAM] * mean + 2.0 * p[MU] * (mean - ROOT_2_3 * size)
             m = p[LAM] + p[MU] * (2.0 * ti.sqrt(1.0 + y * y) + 1.25 * y) + ti.max(-least, 0.0)
-    return m
+    at_rest = ti.Matrix.zero(float, 3, 3)
+    return m + kirchhoff_stress(model, f, j, at_rest, p, hardening, ti.static(epsilon())).norm()

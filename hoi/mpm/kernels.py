@@ -112,6 +112,22 @@ def add(grid: ti.template(), node, contribution, atomic: ti.template()):
 
 
 @ti.func
+def stress_columns(model: ti.template(), f0, f1, f2, j, c0, c1, c2, p, hardening, tolerance):
+    """The columns of `kirchhoff_stress`; for the commonest model whole columns at once."""
+    t0, t1, t2 = zero(), zero(), zero()
+    if ti.static(model == "neo_hookean"):
+        mu, pressure = p[0], p[1] * ti.log(j) - p[0]
+        t0 = mu * (f0[0] * f0 + f1[0] * f1 + f2[0] * f2) + ti.Vector([pressure, 0.0, 0.0, 0.0])
+        t1 = mu * (f0[1] * f0 + f1[1] * f1 + f2[1] * f2) + ti.Vector([0.0, pressure, 0.0, 0.0])
+        t2 = mu * (f0[2] * f0 + f1[2] * f1 + f2[2] * f2) + ti.Vector([0.0, 0.0, pressure, 0.0])
+    else:
+        t0, t1, t2 = columns(
+            kirchhoff_stress(model, matrix(f0, f1, f2), j, matrix(c0, c1, c2), p, hardening, tolerance)
+        )
+    return t0, t1, t2
+
+
+@ti.func
 def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.template(), x: ti.template(),
             v: ti.template(), c: ti.template(), f: ti.template(), hardening: ti.template(), mass: ti.template(),
             volume: ti.template(), region: ti.template(), materials: ti.template(), grid: ti.template(),
@@ -123,18 +139,17 @@ def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.tem
     by, fy = locate(size, position[1], inv_dx, origin[1])
     bz, fz = locate(size, position[2], inv_dx, origin[2])
     c0, c1, c2 = c[3 * p], c[3 * p + 1], c[3 * p + 2]
-    deformation = matrix(f[3 * p], f[3 * p + 1], f[3 * p + 2])
-    j = deformation.determinant()
+    f0, f1, f2 = f[3 * p], f[3 * p + 1], f[3 * p + 2]
+    j = matrix(f0, f1, f2).determinant()
     if j > 0.0:
         row = region[ti.min(p, region.shape[0] - 1)]
-        tau = ti.Matrix.zero(float, 3, 3)
+        t0, t1, t2 = zero(), zero(), zero()
         for i in ti.static(range(len(models))):
             if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
-                tau = kirchhoff_stress(
-                    models[i], deformation, j, matrix(c0, c1, c2), parameters_of(materials, row),
+                t0, t1, t2 = stress_columns(
+                    models[i], f0, f1, f2, j, c0, c1, c2, parameters_of(materials, row),
                     hardening[ti.min(p, hardening.shape[0] - 1)], tolerance,
                 )  # fmt: skip
-        t0, t1, t2 = columns(tau)
         inertia = mass[p] * dx
         force = -dt * volume[p] * inverse_inertia(size) / dx
         # Momentum per cell along each axis, then at the first node; the last place carries the mass.
@@ -258,13 +273,35 @@ def gather(p, size: ti.template(), models: ti.template(), x: ti.template(), v: t
 
 @ti.kernel
 def advance_serial(
-    steps: int, near: int, size: ti.template(), models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(), total: ti.types.ndarray(),
-    hardening: ti.types.ndarray(), mass: ti.types.ndarray(), volume: ti.types.ndarray(), region: ti.types.ndarray(),
-    materials: ti.types.ndarray(), grid: ti.types.ndarray(), planes: ti.types.ndarray(), capsules: ti.types.ndarray(),
-    touched: ti.types.ndarray(), given: ti.types.ndarray(), status: ti.types.ndarray(),
-    gravity: ti.types.vector(4, ti.f64), drift: ti.types.vector(4, ti.f64), dt: float, dx: float, inv_dx: ti.f64, tolerance: float,
-    origin: ti.types.vector(4, int), shape: ti.types.vector(4, int),
-):  # fmt: skip
+    steps: int,
+    near: int,
+    size: ti.template(),
+    models: ti.template(),
+    x: ti.types.ndarray(),
+    v: ti.types.ndarray(),
+    c: ti.types.ndarray(),
+    f: ti.types.ndarray(),
+    total: ti.types.ndarray(),
+    hardening: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    volume: ti.types.ndarray(),
+    region: ti.types.ndarray(),
+    materials: ti.types.ndarray(),
+    grid: ti.types.ndarray(),
+    planes: ti.types.ndarray(),
+    capsules: ti.types.ndarray(),
+    touched: ti.types.ndarray(),
+    given: ti.types.ndarray(),
+    status: ti.types.ndarray(),
+    gravity: ti.types.vector(4, ti.f64),
+    drift: ti.types.vector(4, ti.f64),
+    dt: float,
+    dx: float,
+    inv_dx: ti.f64,
+    tolerance: float,
+    origin: ti.types.vector(4, int),
+    shape: ti.types.vector(4, int),
+):
     """Up to `steps` steps in one launch and one serial task; fewer when a particle comes to the rim or is inverted.
 
     `given` (1) gets the momentum that capsules gave [N s]. The copy of the grid is clear before, and after unless a
@@ -292,18 +329,43 @@ def advance_serial(
 
 @ti.kernel
 def step_parallel(
-    number: int, near: int, shares: int, copies: int, atomic: ti.template(), size: ti.template(),
-    models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(), total: ti.types.ndarray(),
-    hardening: ti.types.ndarray(), mass: ti.types.ndarray(), volume: ti.types.ndarray(), region: ti.types.ndarray(),
-    materials: ti.types.ndarray(), grid: ti.types.ndarray(), planes: ti.types.ndarray(), capsules: ti.types.ndarray(),
-    touched: ti.types.ndarray(), given: ti.types.ndarray(), status: ti.types.ndarray(),
-    gravity: ti.types.vector(4, ti.f64), drift: ti.types.vector(4, ti.f64), dt: float, dx: float, inv_dx: ti.f64, tolerance: float,
-    origin: ti.types.vector(4, int), shape: ti.types.vector(4, int),
-):  # fmt: skip
-    """Step `number` of a launch in parallel, or nothing once status[STOP] is set; copies of the grid are clear.
+    number: int,
+    near: int,
+    shares: int,
+    copies: int,
+    atomic: ti.template(),
+    size: ti.template(),
+    models: ti.template(),
+    x: ti.types.ndarray(),
+    v: ti.types.ndarray(),
+    c: ti.types.ndarray(),
+    f: ti.types.ndarray(),
+    total: ti.types.ndarray(),
+    hardening: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    volume: ti.types.ndarray(),
+    region: ti.types.ndarray(),
+    materials: ti.types.ndarray(),
+    grid: ti.types.ndarray(),
+    planes: ti.types.ndarray(),
+    capsules: ti.types.ndarray(),
+    touched: ti.types.ndarray(),
+    given: ti.types.ndarray(),
+    status: ti.types.ndarray(),
+    gravity: ti.types.vector(4, ti.f64),
+    drift: ti.types.vector(4, ti.f64),
+    dt: float,
+    dx: float,
+    inv_dx: ti.f64,
+    tolerance: float,
+    origin: ti.types.vector(4, int),
+    shape: ti.types.vector(4, int),
+):
+    """Step `number` of a launch in parallel, or nothing once status[STOP] is set.
 
     On a CPU each thread takes one share of the particles and scatters into its own copy of the grid; on a GPU each
-    particle is a share and one copy takes atomics. `given` (shares) sums the momentum that capsules gave [N s].
+    particle is a share and one copy takes atomics. `given` (copies) sums the momentum that capsules gave [N s]. Copies
+    of the grid are clear before and after.
     """
     nodes = shape[0] * shape[1] * shape[2]
     share_size, slab = (x.shape[0] + shares - 1) // shares, (nodes + shares - 1) // shares
@@ -313,8 +375,8 @@ def step_parallel(
         if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
             for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
                 scatter(p, (1 + share % copies) * nodes, atomic, size, models, x, v, c, f, hardening, mass, volume,
-                        region, materials, grid, status, near, capsules, touched, (number + 1.0) * dt, dt, dx, inv_dx,
-                        tolerance, origin, shape)  # fmt: skip
+                        region, materials, grid, status, near, capsules, touched, (number + 1.0) * dt, dt, dx,
+                        inv_dx, tolerance, origin, shape)  # fmt: skip
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(nodes if ti.static(atomic) else shares * CPU_TASK):
         if ti.static(atomic):
@@ -334,8 +396,8 @@ def step_parallel(
         share = i if ti.static(atomic) else i // CPU_TASK
         if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
             for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
-                gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
-                       drift, origin, shape)  # fmt: skip
+                gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx,
+                       inv_dx, drift, origin, shape)  # fmt: skip
     if status[STOP] == 0:
         status[STOP] = status[AT_RIM] + status[INVERTED]
         status[DONE] += 1
@@ -343,14 +405,16 @@ def step_parallel(
 
 @ti.kernel
 def look(
-    shares: int, models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), f: ti.types.ndarray(),
+    shares: int, models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(),
     hardening: ti.types.ndarray(), region: ti.types.ndarray(), materials: ti.types.ndarray(),
     seen: ti.types.ndarray(),
+    dx: float,
 ):  # fmt: skip
     """What the next time step and window depend on, a pair of rows of `seen` (2 shares) for each share of particles.
 
-    (least x, y, z; greatest |v|^2) and (greatest x, y, z; greatest stiffness / density); a |v|^2 of NOT_FINITE says
-    that something is not finite.
+    (least x, y, z; greatest speed^2) and (greatest x, y, z; greatest stiffness / density); a speed^2 of NOT_FINITE says
+    that something is not finite. The speed is that of a particle's nodes, |v| + dx/2 |C|: after a crash C alone may turn
+    a particle inside out within a step.
     """
     size = (x.shape[0] + shares - 1) // shares
     ti.loop_config(block_dim=1)
@@ -368,7 +432,9 @@ def look(
                         models[i], deformation, deformation.determinant(), parameters_of(materials, row),
                         hardening[ti.min(p, hardening.shape[0] - 1)],
                     ) / materials[3 * row + 2][0]  # fmt: skip
-            speed = velocity.dot(velocity)
+            c0, c1, c2 = c[3 * p], c[3 * p + 1], c[3 * p + 2]
+            spread = 0.5 * dx * ti.sqrt(c0.dot(c0) + c1.dot(c1) + c2.dot(c2))
+            speed = (ti.sqrt(velocity.dot(velocity)) + spread) ** 2
             sum = ti.cast(speed + stiff, ti.f64) + position[0] + position[1] + position[2]
             if not (ti.abs(sum) < NOT_FINITE):
                 low[3] = NOT_FINITE

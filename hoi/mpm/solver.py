@@ -26,13 +26,14 @@ Device = Literal["cpu", "cuda"]
 Spline = Literal["quadratic", "cubic"]
 
 MARGIN = 2
-"""Cells between the object and the rim of its window when the window is fitted."""
+"""Cells between the object and the rim of its window when the window is fitted; as many more if it moves fast."""
 MAX_NODES = 2**25
-"""Nodes of the largest window: 512 MiB in float32."""
+"""Nodes of the largest window and its copies: 0.6 GB in float32."""
 STEPS_A_LOOK = 32
 """Steps after which the time step and the window are chosen anew."""
 INSTANT = 1e-9
 """Times no further apart than this are one [s]."""
+CONTACTS = {"coulomb": boundary.COULOMB, "slip": boundary.SLIP, "stick": boundary.STICK}
 UNSTABLE_CFL = 1.15
 """Above the largest CFL number that was measured to be stable."""
 
@@ -192,6 +193,8 @@ class Simulation:
         self.dx, self.dt, self.fraction = dx, dt, fraction
         self.size = 3 if spline == "quadratic" else 4
         self.planes = [ground_plane(self.materials[0].ground_friction)] if planes is None else list(planes)
+        for plane in self.planes:
+            _check_plane(plane)
         self.collider = collider
         self.time, self.steps, self.refits, self.cfl = 0.0, 0, 0, 0.0
         self.dt_least, self.dt_most = math.inf, 0.0
@@ -234,7 +237,10 @@ class Simulation:
         self.given = ti.Vector.ndarray(4, real, self.threads)
         self.shares = 512 if self.on_gpu else self.threads
         self.seen = ti.Vector.ndarray(4, ti.f64, 2 * self.shares)
-        self.no_capsules = ti.Vector.ndarray(4, real, 1)
+        self.none = ti.Vector.ndarray(4, real, 1)
+        """Stands for no capsules, or no planes."""
+        self.plane_rows = ti.Vector.ndarray(4, real, 2 * len(self.planes)) if self.planes else self.none
+        self.placed_at = None
 
     def advance(self, until: float) -> None:
         """Steps until `until` [s], which is met exactly.
@@ -268,10 +274,12 @@ class Simulation:
                     "or null to have it chosen"
                 )
             )
-        origin, shape = self._fit_window(low, high)
-        in_reach = self._in_reach(low, high, speed * dt * STEPS_A_LOOK)
-        given = self.collider_impulse
         at_once = min(steps, STEPS_A_LOOK, max(math.ceil(span / dt), 1) if span < left else steps)
+        ahead = at_once * dt
+        path = (speed + float(np.linalg.norm(self.gravity)) * ahead) * ahead
+        origin, shape = self._fit_window(low, high, path)
+        in_reach = self._in_reach(low, high, path)
+        given = self.collider_impulse
         done = self._launch(at_once, dt, origin, shape, near=in_reach)
         self.steps += done
         self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
@@ -324,33 +332,41 @@ class Simulation:
         return energies(state, self.volumes, self.materials, self.dx, self.gravity, self.region, spread)
 
     def _look(self) -> tuple[Array, Array, float, float]:
-        """Bounding box of the particles [m], greatest speed and wave speed [m/s]."""
-        kernels.look(self.shares, self.models, self.x, self.v, self.f, self.hardening, self.region_of, self.parameters,
-                     self.seen)  # fmt: skip
+        """Bounding box of the particles [m], greatest speed of their nodes and wave speed [m/s]."""
+        kernels.look(self.shares, self.models, self.x, self.v, self.c, self.f, self.hardening, self.region_of,
+                     self.parameters, self.seen, self.dx)  # fmt: skip
         seen = self.seen.to_numpy()
         low, high = seen[0::2], seen[1::2]
         if low[:, 3].max() >= kernels.NOT_FINITE:
             self.state()  # counts and raises
+            raise RunError(self._diverged("a particle's speed or stress is beyond all bounds"))
         speed, wave_speed = np.sqrt(max(low[:, 3].max(), 0.0)), np.sqrt(max(high[:, 3].max(), 0.0))
         return low[:, :3].min(axis=0), high[:, :3].max(axis=0), float(speed), float(wave_speed)
 
-    def _fit_window(self, low: Array, high: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _fit_window(self, low: Array, high: Array, path: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First node and shape of a window around this box, with room for the next `path` [m] or some of it."""
+        margin = MARGIN + min(math.ceil(path / self.dx), MARGIN)
         first, last = (np.floor(bound / self.dx - 0.5 * (self.size - 2)) for bound in (low, high))
-        shape = last - first + self.size + 2 * MARGIN
-        if shape.prod() > MAX_NODES or np.abs([first, last]).max() > 2**30:
+        shape = last - first + self.size + 2 * margin
+        if shape.prod() * (self.threads + 1) > MAX_NODES or np.abs([first, last]).max() > 2**30:
             extent = np.array2string(high - low, precision=3)
             raise RunError(self._message(
-                f"the object spans {extent} m, a window of {shape.prod():.3g} nodes of {self.dx:g} m where {MAX_NODES} "
-                "are allowed; use larger cells, or if it has come apart a smaller time step"
+                f"the object spans {extent} m, a window of {shape.prod():.3g} nodes of {self.dx:g} m where "
+                f"{MAX_NODES // (self.threads + 1)} are allowed; use larger cells, or if it has come "
+                "apart a smaller time step"
             ))  # fmt: skip
         shape = shape.astype(np.int64)
         if shape.prod() * (self.threads + 1) > self.grid.shape[0]:
-            self._new_grid(int(1.5 * shape.prod()))
+            self._new_grid(int(1.2 * shape.prod()))
+        first = first.astype(np.int64) - margin
+        if self.planes and (self.placed_at is None or (first != self.placed_at).any()):
+            self._place_planes(first)
+            self.placed_at = first
         if shape.prod() != self.nodes:  # the copies begin elsewhere, and are to be clear
             self.grid.fill(0.0)
             self.nodes = shape.prod()
         self.refits += 1
-        return first.astype(np.int64) - MARGIN, shape
+        return first, shape
 
     def _in_reach(self, low: Array, high: Array, path: float) -> bool:
         """Whether anything solid may touch the nodes of particles in this box that move by `path` [m]."""
@@ -368,31 +384,22 @@ class Simulation:
         status = np.zeros(4, dtype=np.int32)
         status[[kernels.AT_RIM, kernels.STOP]] = idle
         self.status.from_numpy(status)
-        self.given.fill(0.0)
-        self.touched.fill(0)
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if near else 0.5 * dt * dt * self.gravity
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
-                  self.parameters, self.grid, self._planes(origin), self._capsules(origin), self.touched, self.given,
+                  self.parameters, self.grid, self.plane_rows, self._capsules(origin), self.touched, self.given,
                   self.status)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
         if self.serial:
             kernels.advance_serial(steps, int(near), self.size, self.models, *arrays, *numbers)
         else:
+            self.given.fill(0.0)
             shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
             for number in range(steps):
                 kernels.step_parallel(
-                    number,
-                    int(near),
-                    shares,
-                    copies,
-                    self.on_gpu,
-                    self.size,
-                    self.models,
-                    *arrays,
-                    *numbers,
+                    number, int(near), shares, copies, self.on_gpu, self.size, self.models, *arrays, *numbers
                 )
         if near:
             self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
@@ -404,20 +411,19 @@ class Simulation:
             raise RunError(self._diverged("a particle has turned inside out (det F <= 0)"))
         return done
 
-    def _planes(self, origin: NDArray[np.int64]) -> Any:
-        """The planes as `hold_to_planes` reads them."""
-        kinds = {"coulomb": boundary.COULOMB, "slip": boundary.SLIP, "stick": boundary.STICK}
+    def _place_planes(self, origin: NDArray[np.int64]) -> None:
+        """Writes the planes as `hold_to_planes` reads them."""
         rows = []
         for plane in self.planes:
             height = float((origin * self.dx - plane.point) @ plane.normal) + boundary.PLANE_DEPTH * self.dx
-            rows += [[*plane.normal, height], [kinds[plane.contact], plane.friction, 0.0, 0.0]]
-        return _vectors(np.array(rows), self.real) if rows else self.no_capsules
+            rows += [[*plane.normal, height], [CONTACTS[plane.contact], plane.friction, 0.0, 0.0]]
+        _fill(self.plane_rows, np.reshape(rows, (-1, 4)))
 
     def _capsules(self, origin: NDArray[np.int64]) -> Any:
         """The capsules at the present time as `hold_to_capsules` reads them."""
         collider = self.collider
         if collider is None or not collider.times[0] <= self.time < collider.times[-1]:
-            return self.no_capsules
+            return self.none
         k = int(np.searchsorted(collider.times, self.time, side="right")) - 1
         span = collider.times[k + 1] - collider.times[k]
         share = (self.time - collider.times[k]) / span
@@ -433,6 +439,7 @@ class Simulation:
     def _new_grid(self, nodes: int) -> None:
         self.grid = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
         self.touched = ti.ndarray(ti.i32, nodes)
+        self.touched.fill(0)
         self.nodes = 0
         """Of the window that the grid is clear for."""
 
@@ -448,11 +455,15 @@ class Simulation:
 
 def _vectors(values: Array, dtype: Any) -> Any:
     """Rows of three or four as vectors of four on the device."""
-    padded = np.zeros((len(values), 4), dtype=np.float64 if dtype == ti.f64 else np.float32)
-    padded[:, : values.shape[1]] = values
     array = ti.Vector.ndarray(4, dtype, len(values))
-    array.from_numpy(padded)
+    _fill(array, values)
     return array
+
+
+def _fill(array: Any, values: Array) -> None:
+    padded = np.zeros((len(values), 4), dtype=np.float64 if array.dtype == ti.f64 else np.float32)
+    padded[:, : values.shape[1]] = values
+    array.from_numpy(padded)
 
 
 def _numbers(values: ArrayLike, dtype: Any) -> Any:
@@ -472,7 +483,7 @@ def _matrices(columns: Any) -> Array:
     return np.ascontiguousarray(np.swapaxes(columns.to_numpy()[:, :3].reshape(-1, 3, 3), -1, -2))
 
 
-def _vector(values: Array, dtype: Any = float) -> Any:
+def _vector(values: Any, dtype: Any = float) -> Any:
     return ti.Vector([dtype(value) for value in values] + [dtype(0)])
 
 
@@ -486,6 +497,15 @@ def _check_region(region: Any, count: int, materials: int) -> NDArray[np.int32] 
             f"from {region.min()} to {region.max()}"
         )
     return region.astype(np.int32)
+
+
+def _check_plane(plane: Plane) -> None:
+    if plane.contact not in CONTACTS:
+        raise InputError(f"plane contact must be one of {', '.join(CONTACTS)}, got {plane.contact!r}")
+    if not (np.isfinite(plane.point).all() and abs(np.linalg.norm(plane.normal) - 1) < 1e-6):
+        raise InputError(f"plane must have a finite point and a unit normal, got {plane.point} and {plane.normal}")
+    if not (math.isfinite(plane.friction) and plane.friction >= 0):
+        raise InputError(f"plane friction must be 0 or more, got {plane.friction:g}")
 
 
 def _check_times(times: Sequence[float] | Array) -> Array:
