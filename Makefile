@@ -28,8 +28,9 @@ lint: $(READY)  ## ruff and the type checker
 	$(BIN)/ruff format --check
 	$(BIN)/basedpyright
 
-bench: $(READY)  ## seconds by stage of the default scene
+bench: $(READY)  ## seconds by stage of the default scene, and milliseconds a step of the MPM
 	$(BIN)/python -m analysis.bench $(ARGS)
+	$(BIN)/python -m analysis.mpm_bench
 
 precision: $(READY)  ## error against run time of the object's physics: table, report and picture in runs/precision
 	$(BIN)/python -m analysis.precision $(ARGS)

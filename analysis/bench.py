@@ -17,7 +17,8 @@ from hoi.record import read
 
 
 def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
-    """One row a stage: median, least and most seconds over `runs` runs, iterations, and the rows "total" and "memory".
+    """One row a stage: median, least and most seconds over `runs` runs, and iterations; then total, share of the
+    object's time steps that its phases left out, and memory.
 
     Raises:
         InputError: a run did not end well.
@@ -35,6 +36,10 @@ def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
             run = read(out / "run.mcap")
             rows += [{"stage": r.stage, "seconds": r.seconds, "iterations": r.iterations} for r in run.reports]
             rows.append({"stage": "total", "seconds": float(run.result["seconds"]), "iterations": 0})
+            steps, left_out = (sum(r.numbers.get(n, 0.0) for r in run.reports) for n in ("steps", "steps_left_out"))
+            if steps:
+                share = 100 * left_out / (steps + left_out)
+                rows.append({"stage": "object's steps left out [%]", "seconds": share, "iterations": int(steps)})
             rows.append({"stage": "peak memory [MB]", "seconds": float(run.result["peak_memory_mb"]), "iterations": 0})
     grouped = pd.DataFrame(rows).groupby("stage", sort=False)
     table = grouped["seconds"].agg(["median", "min", "max"])

@@ -44,13 +44,13 @@ def test_clay_stays_dented_and_rubber_springs_back() -> None:
     assert later == pytest.approx(after, rel=0.03)
     assert heights(rubber)[2] == pytest.approx(before, rel=0.03)
     assert rubber.com[2, 2] > clay.com[2, 2] + 0.2
-    volume = np.linalg.det(clay.final.deformation_gradient)
-    np.testing.assert_allclose(volume, 1, atol=0.1)
+    total, elastic, plastic = clay.final.deformation_gradient, clay.final.elastic, clay.final.hardening
+    assert elastic is not None and plastic is not None
+    assert np.linalg.det(total).mean() == pytest.approx(1, abs=0.02)
     # The elastic F has let go of what the total F remembers.
-    assert clay.final.elastic is not None and clay.final.hardening is not None
-    strain = [np.abs(np.log(np.linalg.svd(f, compute_uv=False))) for f in (clay.final.elastic, clay.final.deformation_gradient)]
-    assert strain[0].max() < 0.1 < strain[1].mean()
-    assert clay.final.hardening.max() > 0.2
+    strain = [np.abs(np.log(np.linalg.svd(f, compute_uv=False))).mean() for f in (elastic, total)]
+    assert strain[0] < 0.03 < 0.1 < strain[1]
+    assert plastic.max() > 0.2
 
 
 def collapsed(friction_angle: float) -> SimulationResult:
@@ -74,14 +74,13 @@ def test_sand_comes_to_rest_in_a_heap_as_steep_as_its_friction() -> None:
         surface = [np.quantile(z[(x >= left) & (x < left + 0.02)], 0.95) for left in starts]
         slopes.append(-np.polyfit(starts, surface, 1)[0])
         reach.append(np.quantile(x, 0.98))
-    print(slopes, reach)
     assert 0.4 * np.tan(0.3) < slopes[0] < np.tan(0.3)
     assert 0.4 * np.tan(0.6) < slopes[1] < np.tan(0.6)
     assert reach[0] > 1.1 * reach[1]
 
 
 def test_water_comes_to_lie_level_and_bears_its_own_weight() -> None:
-    """A column let go in a tank: level to half a cell, its volume kept, mean pressure that of half its depth."""
+    """A column let go in a tank: level to half a cell, its volume kept, its pressure that of its depth."""
     material = replace(EXAMPLES["fluid"], poisson_ratio=0.45, viscosity=5.0)
     x, volumes = block((0.2, 0.2, 0.4), DX / 2)
     planes = [Plane(np.zeros(3), UP, "slip"), *walls((0, 0), (0.4, 0.2))]
@@ -90,10 +89,8 @@ def test_water_comes_to_lie_level_and_bears_its_own_weight() -> None:
     z, j = final.positions[:, 2], np.linalg.det(final.deformation_gradient)
     quarters = np.digitize(final.positions[:, 0], [0.1, 0.2, 0.3])
     surface = [np.quantile(z[quarters == quarter], 0.95) for quarter in range(4)]
-    print(surface)
     assert np.ptp(surface) < 0.5 * DX
     assert j.mean() == pytest.approx(1, abs=0.02)
     pressure = -kirchhoff_stress(material, final.deformation_gradient.astype(float))[:, 0, 0]
     depth = 2 * (z.mean() - z.min()) + DX / 2
-    print(pressure.mean(), 0.5 * 1000 * 9.81 * depth)
     assert pressure.mean() == pytest.approx(0.5 * material.density * 9.81 * depth, rel=0.2)

@@ -5,11 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpm_bodies import DX, RUBBER, block
+from mpm_examples import EXAMPLES
 
 from hoi.data import Material, ObjectState
 from hoi.errors import InputError, RunError
 from hoi.mpm.solver import simulate
-from hoi.mpm.stability import DEFAULT_FRACTION, STABLE_CFL, cfl_number, choose_time_step, time_step_limit
+from hoi.mpm.stability import (
+    DEFAULT_FRACTION,
+    STABLE_CFL,
+    STABLE_DIFFUSION,
+    cfl_number,
+    choose_time_step,
+    stable_step,
+    time_step_limit,
+)
 from hoi.mpm.state import energies, initial_state
 
 PAPER = Material("paper", "fixed_corotated", 1e7, 0.45, 1000.0, 0.6, 0.5)
@@ -42,6 +51,36 @@ def test_paper_setting_is_allowed() -> None:
 def test_chosen_step_is_a_share_of_the_limit() -> None:
     assert choose_time_step(PAPER, DX, 5.0) == DEFAULT_FRACTION * time_step_limit(PAPER, DX, 5.0)
     assert cfl_number(PAPER, DX, time_step_limit(PAPER, DX, 5.0), 5.0) == pytest.approx(STABLE_CFL)
+
+
+def test_of_several_materials_the_stiffest_counts() -> None:
+    limits = [time_step_limit(material, DX, 5.0) for material in (RUBBER, PAPER)]
+    assert time_step_limit([RUBBER, PAPER], DX, 5.0) == min(limits) < max(limits)
+    assert cfl_number([RUBBER, PAPER], DX, 1e-4) == cfl_number(PAPER, DX, 1e-4)
+    with pytest.raises(InputError, match="for paper"):
+        choose_time_step([RUBBER, PAPER], DX, 5.0, dt=1.1 * limits[1])
+
+
+def test_viscosity_limits_the_step() -> None:
+    """Alone by STABLE_DIFFUSION rho dx^2 / viscosity, without it by the waves, and below both with both."""
+    syrup = replace(EXAMPLES["fluid"], viscosity=1e3)
+    by_viscosity, by_waves = STABLE_DIFFUSION * DX**2 * syrup.density / syrup.viscosity, STABLE_CFL * DX / 3.0
+    assert stable_step(DX, 1e-6, 1.0) == pytest.approx(by_viscosity, rel=1e-5)
+    assert stable_step(DX, 3.0) == pytest.approx(by_waves)
+    both = stable_step(DX, 3.0, 1.0)
+    assert (both / by_waves) ** 2 + both / by_viscosity == pytest.approx(1)
+    with pytest.raises(InputError, match=r"for fluid \(wave speed 8 m/s, viscosity 1000 Pa s\)"):
+        choose_time_step(syrup, DX, 0.0, dt=by_viscosity)
+    assert time_step_limit(replace(EXAMPLES["viscoplastic"], viscosity=1e3), DX) > 2 * by_viscosity
+
+
+@pytest.mark.parametrize("viscosity", [10.0, 1e3])
+def test_viscous_limit_is_stable(viscosity: float) -> None:
+    """At the limit itself a shaken cube of a fluid calms down."""
+    fluid = replace(EXAMPLES["fluid"], viscosity=viscosity)
+    limit = time_step_limit(fluid, DX, 0.01)
+    before, after = shaking(fluid, limit * cfl_number(fluid, DX, 1.0), 400)
+    assert 0 <= after < before
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def variants(run: Run) -> dict[str, Run]:
     )
     diverged = replace(state.motion, body_pose=np.full_like(state.motion.body_pose, np.nan))
     thing = run.scene.object
-    wall = Plane(np.array([0.0, 2.0, 0.5]), np.array([0.0, -0.6, 0.8]), "slip", 0.0, 0.25)
+    wall = Plane(np.array([0.0, 2.0, 0.5]), np.array([0.0, -0.6, 0.8]), "slip", 0.0)
     core = Material("core", "neo_hookean", 1e6, 0.3, 300.0, 0.1, 0.2, yield_stress=np.inf, friction_angle=0.5)
     region = np.arange(len(thing.particles), dtype=np.int32) % 2
     parts = replace(thing, other_materials=(core,), region=region)

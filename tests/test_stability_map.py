@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ from analysis.stability.__main__ import main
 from analysis.stability.cases import CASES, MODELS, Case, quick
 from analysis.stability.outcome import Look, Outcome
 from analysis.stability.trial import SHAPES, attempt
-from analysis.stability.verdict import crushing, judge
+from analysis.stability.verdict import Verdict, crushing, judge
 
 FREE = Case(planes="none", gravity=0.0, speed=1.0)
-TINY = replace(FREE, particles=27, steps=20, frames=4, spin=10.0)
+TINY = replace(FREE, particles=27, lasts=20, frames=4, spin=10.0)
 NOWHERE = Look(0.0, np.array([1.0, 0.0, 0.0]), 0.0, np.array([2.0, 0, 0]), np.zeros(3), np.inf, 1.0, 2.0)
 
 
@@ -122,6 +122,7 @@ def test_the_grid_covers_what_it_should() -> None:
     )
     shares = Counter((case.dt_share, case.must) for case in cases)
     assert shares[1.1, "refuse"] >= 14 and shares[10.0, "refuse"] >= 14 and shares[1.1, "run"] == 0
+    assert not {field.name for field in fields(Case)} & {field.name for field in fields(Verdict)}  # one row holds both
     assert 20 <= len(quick()) <= 80 and {case.id for case in quick()} <= set(CASES)
 
 

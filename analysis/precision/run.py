@@ -86,8 +86,8 @@ class Timed:
     particles: int
 
 
-def run(problem: Problem, variant: Variant, threads: int = 1) -> Timed:
-    """Computes the problem once.
+def run(problem: Problem, variant: Variant, threads: int = 1, dt: float | None = None) -> Timed:
+    """Computes the problem once, with steps of `dt` [s] if that is given.
 
     Raises:
         RunError: it diverged.
@@ -104,7 +104,7 @@ def run(problem: Problem, variant: Variant, threads: int = 1) -> Timed:
         states = move(problem, start, volumes)
         seconds, steps = clock(threads) - began, 0
     else:
-        states, seconds, steps = _mpm(problem, variant, start, volumes, threads)
+        states, seconds, steps = _mpm(problem, variant, start, volumes, threads, dt)
     seen = Observed(
         times=problem.times,
         points=np.array([pick(state.positions) for state in states]),
@@ -128,7 +128,7 @@ def probes(problem: Problem) -> Array:
 
 
 def _mpm(
-    problem: Problem, variant: Variant, start: ObjectState, volumes: Array, threads: int
+    problem: Problem, variant: Variant, start: ObjectState, volumes: Array, threads: int, dt: float | None
 ) -> tuple[list[ObjectState], float, int]:
     """States at the problem's times; seconds and steps that they took."""
     dx = problem.size / variant.cells
@@ -139,6 +139,7 @@ def _mpm(
             volumes,
             replace(problem.material, model=variant.model or problem.material.model),
             dx=dx,
+            dt=dt,
             fraction=variant.fraction,
             gravity=problem.gravity,
             planes=problem.planes,

@@ -18,6 +18,10 @@ from analysis.stability.cases import Case
 from analysis.stability.verdict import Verdict, shares
 
 INK, MUTED, FAILED, REFUSED, STOPPED, NOT_RUN = "#22262b", "#7a828c", "#c81e3a", "#a9bdd6", "#8a7ca8", "#ffffff"
+UNITS = (
+    "E Pa, rho kg/m³, v and u (collider) m/s, w rad/s, L m, g m/s², tilt °, t s, gap cells, f friction, e restitution, "
+    "dt in limits, kick in wave speeds"
+)
 MARGIN = LinearSegmentedColormap.from_list("margin", ["#1b7a4b", "#8fc98a", "#f2e394"])
 """Of what a case took of the limit it came closest to: none to all."""
 COLUMNS = 5
@@ -106,6 +110,7 @@ def _legend(figure: Figure, results: Mapping[str, tuple[Case, Verdict]], height:
         f"{counts[name]} {name}" for name in ("held", "refused", "stopped", "failed", "not run") if name in counts
     )
     figure.text(0.01, 1 - 0.52 / height, f"{len(results)} cases: {text}", fontsize=10, color=INK, va="center")
+    figure.text(0.01, 1 - 0.75 / height, UNITS, fontsize=8, color=MUTED, va="center")
     patches = [
         Patch(color=MARGIN(0.0), label="held, far from every limit"),
         Patch(color=MARGIN(0.5), label="half of a limit taken"),

@@ -35,6 +35,8 @@ has only the fastest mode, with w dt about 0.5; any other has next to nothing in
 MOMENTUM_DRIFT = {"float32": 1e-4, "float64": 1e-10}
 PENETRATION = {"quadratic": 1.5, "cubic": 2.0}
 """Deeper in the ground a particle touches solid nodes alone [cells]."""
+MOST_CFL = 1.15
+"""Cells that the fastest signal, and so any particle, may cross in a step; the window of the grid has two to spare."""
 REACH = 3.0
 """Cells from a plane beyond which a particle cannot feel it."""
 
@@ -43,7 +45,7 @@ FAULTS = {
     "momentum_drift": "momentum drifted by {:.2g}",
     "spin_drift": "angular momentum drifted by {:.2g}",
     "penetration": "{:.2g} cells deeper in the ground than at the start",
-    "cfl": "{:.2g} cells crossed in a step",
+    "cfl": "a signal crossed {:.2g} cells in a step",
 }
 """What is said of a number that is too large."""
 
@@ -68,6 +70,7 @@ class Verdict:
     penetration: float = np.nan
     """[cells]"""
     cfl: float = np.nan
+    """Largest (c + |v|) dt / dx [-]."""
     reached: float = 0.0
     """Share of the case's time that was followed."""
     steps: int = 0
@@ -85,7 +88,7 @@ def limits(case: Case) -> dict[str, float]:
     rise = ENERGY_RISE_OF_ONE_STENCIL if within_a_stencil else ENERGY_RISE
     rise = ENERGY_RISE_OF_SNOW if case.model == "snow" else rise
     return {"energy_rise": rise, "momentum_drift": drift, "spin_drift": drift,
-            "penetration": PENETRATION[case.spline], "cfl": 1.0}  # fmt: skip
+            "penetration": PENETRATION[case.spline], "cfl": MOST_CFL}  # fmt: skip
 
 
 def judge(outcome: Outcome) -> Verdict:

@@ -7,8 +7,8 @@ only for stretches beyond 1.6 is b diagonalised. As F = V R, a return map to the
 Taichi's own SVD takes 2 to 4 times as long as a diagonalisation of b, and in float64 is exact to 1e-10 only.
 """
 
-# Annotations of Taichi functions are values, not types.
-# pyright: reportInvalidTypeForm=false
+# Annotations of Taichi functions are values, not types, and what a Taichi expression is pyright cannot tell.
+# pyright: reportInvalidTypeForm=false, reportOperatorIssue=false
 
 import numpy as np
 import taichi as ti
@@ -263,7 +263,7 @@ def return_map(model: ti.template(), f_trial, hardening, p, dt):
         if ti.static(model == "snow"):
             strain = b - identity()
             safe = 1.0 - ti.max(p[LEAST], 2.0 - p[MOST]) ** 2  # no square of a singular value within is out of bounds
-            if strain.norm_sqr() > safe * safe:
+            if (strain @ strain).trace() > safe * safe:
                 x, y, z, u, v, w = eigenvectors(b)
                 rx, ry, rz = clamping(x, p), clamping(y, p), clamping(z, p)
                 f = spectral(rx, ry, rz, u, v, w) @ f

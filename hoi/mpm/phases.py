@@ -12,6 +12,10 @@ Flight leaves out the vibration about the rigid motion. With its energy E_vib an
 smaller than `lowest_frequency`, its amplitude is at most sqrt(2 E_vib / M) / omega. E_vib is taken as the largest
 kinetic energy about the rigid motion within half a period, when all of it has once been kinetic: so the strain with
 which a spin or a plastic flow holds the body in equilibrium counts for nothing. It stays frozen in the body.
+
+Measured on a football kicked up at 4 m/s, against the MPM of every step: 0.6% of its size off after 1.4 s and a bounce,
+8% after 2.6 s and three, with any tolerance from 0.0003 to 0.003. The MPM with steps 1% shorter is off by 0.2% and 5%:
+what a bounce amplifies is not the vibration left out.
 """
 
 import math
@@ -33,8 +37,6 @@ STILL = 0.1
 """How long every particle must have been slow before the body is held [s]."""
 RESOLUTION = 1e-5
 """A flight ends no sooner than this before the earliest possible contact [s]."""
-
-
 ROUND_OFF = 1e-12
 """Of times [s]."""
 
@@ -103,8 +105,8 @@ class Tally:
 def reach_of(plane: Plane, dx: float) -> float:
     """How far from a plane a particle's stencil still meets a node that the plane holds [m].
 
-    The stencil reaches 1.5 cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`, and in layers a whole
-    cell apart where the plane is parallel to them.
+    The stencil of quadratic splines reaches 1.5 cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`,
+    and in layers a whole cell apart where the plane is parallel to them.
     """
     normal, depth = plane.normal, PLANE_DEPTH * dx
     if np.abs(normal).max() > 1 - 1e-12:
@@ -189,14 +191,19 @@ class Walk:
         now = self._began + self.simulation.time
         self._pass(until if until - now < ROUND_OFF else now)
         looks = self.time - self._last_look > 0.99 * self._between_looks
-        if looks or self.time == until:
-            self._state = self.simulation.state()
         if looks:
             self._last_look = self.time
-            if self._rests():
-                self._hold()
-            elif self._frequency is not None:
-                self._consider_flight(self._frequency)
+            box, speed = self.simulation.bounds()
+            rests = self._rests(speed)
+            if not rests and (self._frequency is None or self._around.touches(box)):
+                self._vibration.clear()
+                looks = False  # nothing to decide: the particles stay on the device
+        if looks or self.time == until:
+            self._state = self.simulation.state()
+        if looks and rests:
+            self._hold()
+        elif looks and self._frequency is not None:
+            self._consider_flight(self._frequency)
 
     def _fly(self, until: float) -> None:
         self._state = self._flight.carry(self._departed, until - self._departure)
@@ -216,13 +223,12 @@ class Walk:
         self.tally.energy += energy
         self.tally.add(self.simulation, self._began)
 
-    def _rests(self) -> bool:
+    def _rests(self, speed: float) -> bool:
         """Whether, for a while, no particle has been fast enough to get anywhere until the end.
 
         That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
         """
         collider = self._around.collider
-        speed = float(np.linalg.norm(self._state.velocities, axis=1).max())
         slow = speed * (self._end - self.time) <= self._tolerance * self._size
         if not slow or (collider is not None and self.time < collider.times[-1]):
             self._still_since = math.inf

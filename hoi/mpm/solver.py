@@ -199,6 +199,8 @@ class Simulation:
         self.time, self.steps, self.refits, self.cfl = 0.0, 0, 0, 0.0
         self.dt_least, self.dt_most = math.inf, 0.0
         self.collider_impulse = np.zeros(3)
+        self.looked_at = -1
+        """The step at which `seen_last` was true."""
         self.push_start, self.push_end = math.inf, -math.inf
 
         started = time.perf_counter()
@@ -208,7 +210,7 @@ class Simulation:
         self.real = ti.f32 if precision == "float32" else ti.f64
         self.tolerance = float(np.finfo(precision).eps)
         self._upload(state)
-        self._launch(1, 1.0, np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64), near=False, idle=True)  # compiles
+        self._launch(1, 1.0, np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64), idle=True)  # compiles
         self._look()
         self.compile_seconds = time.perf_counter() - started
 
@@ -241,6 +243,13 @@ class Simulation:
         """Stands for no capsules, or no planes."""
         self.plane_rows = ti.Vector.ndarray(4, real, 2 * len(self.planes)) if self.planes else self.none
         self.placed_at = None
+
+    @property
+    def memory(self) -> int:
+        """Bytes of particles and grid."""
+        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
+                  self.grid, self.touched)  # fmt: skip
+        return sum(array.to_numpy().nbytes for array in arrays)
 
     def advance(self, until: float) -> None:
         """Steps until `until` [s], which is met exactly.
@@ -278,9 +287,9 @@ class Simulation:
         ahead = at_once * dt
         path = (speed + float(np.linalg.norm(self.gravity)) * ahead) * ahead
         origin, shape = self._fit_window(low, high, path)
-        in_reach = self._in_reach(low, high, path)
+        near, touching = self._in_reach(low, high, path), self._in_reach(low, high, 0.0)
         given = self.collider_impulse
-        done = self._launch(at_once, dt, origin, shape, near=in_reach)
+        done = self._launch(at_once, dt, origin, shape, near=near, touching=touching)
         self.steps += done
         self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
         began, self.time = self.time, until if done == steps else until - (steps - done) * dt
@@ -331,8 +340,19 @@ class Simulation:
         spread = 1 / (4 if self.size == 3 else 3)
         return energies(state, self.volumes, self.materials, self.dx, self.gravity, self.region, spread)
 
+    def bounds(self) -> tuple[Array, float]:
+        """Corners of a box around the particles [m], shape (8, 3), and a bound of their speeds [m/s]."""
+        low, high, speed, _ = self._look()
+        return _corners(low, high), speed
+
     def _look(self) -> tuple[Array, Array, float, float]:
         """Bounding box of the particles [m], greatest speed of their nodes and wave speed [m/s]."""
+        if self.looked_at == self.steps:
+            return self.seen_last
+        self.seen_last, self.looked_at = self._look_again(), self.steps
+        return self.seen_last
+
+    def _look_again(self) -> tuple[Array, Array, float, float]:
         kernels.look(self.shares, self.models, self.x, self.v, self.c, self.f, self.hardening, self.region_of,
                      self.parameters, self.seen, self.dx)  # fmt: skip
         seen = self.seen.to_numpy()
@@ -372,13 +392,13 @@ class Simulation:
         """Whether anything solid may touch the nodes of particles in this box that move by `path` [m]."""
         if self.collider is not None and self.collider.times[0] <= self.time < self.collider.times[-1]:
             return True
-        corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
+        corners = _corners(low, high)
         reach = 0.5 * self.size * self.dx + path
         return any(((corners - plane.point) @ plane.normal).min() < reach for plane in self.planes)
 
     def _launch(
-        self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool,
-        idle: bool = False,
+        self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool = False,
+        touching: bool = False, idle: bool = False,
     ) -> int:  # fmt: skip
         """Up to `steps` steps in this window, none if `idle`: how many were done."""
         status = np.zeros(4, dtype=np.int32)
@@ -386,7 +406,7 @@ class Simulation:
         self.status.from_numpy(status)
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
-        drift = np.zeros(3) if near else 0.5 * dt * dt * self.gravity
+        drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
                   self.parameters, self.grid, self.plane_rows, self._capsules(origin), self.touched, self.given,
                   self.status)  # fmt: skip
@@ -444,13 +464,17 @@ class Simulation:
         """Of the window that the grid is clear for."""
 
     def _message(self, what: str) -> str:
-        return f"t = {self.time:.4g} s, step {self.steps}: {what}"
+        return f"mpm phase, t = {self.time:.4g} s, step {self.steps}: {what}"
 
     def _diverged(self, what: str) -> str:
         return self._message(
             f"{what}; the simulation has diverged (CFL {self.cfl:.2g}): use a smaller time step, or a stiffer material "
             "if the impact is meant to be this hard"
         )
+
+
+def _corners(low: Array, high: Array) -> Array:
+    return np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _vectors(values: Array, dtype: Any) -> Any:
