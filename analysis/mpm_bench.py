@@ -96,10 +96,8 @@ def genesis_row(particles: int, peer: str) -> dict[str, float | str]:
         InputError: it failed there.
     """
     root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    code = "import json; from analysis import mpm_bench as b; print(json.dumps(b.measure_genesis(PARTICLES)))"
-    done = subprocess.run(
-        [peer, "-c", code.replace("PARTICLES", str(particles))], cwd=root, capture_output=True, text=True
-    )
+    code = f"import json; from analysis import mpm_bench as b; print(json.dumps(b.measure_genesis({particles})))"
+    done = subprocess.run([peer, "-c", code], cwd=root, capture_output=True, text=True)
     if done.returncode != 0:
         raise InputError(f"--peer {peer}: Genesis failed there: {done.stderr.strip().splitlines()[-1:]}")
     return json.loads(done.stdout.strip().splitlines()[-1])
@@ -115,7 +113,7 @@ def main() -> None:
     parser.add_argument("--precision", nargs="+", default=["float32"], choices=["float32", "float64"])
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
     parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("genesis") else None,
-                        metavar="PYTHON", help="an interpreter with Genesis (default: this one, if it has it)")  # fmt: skip
+                        metavar="PYTHON", help="one with Genesis (default: this one, if it has it)")  # fmt: skip
     arguments = parser.parse_args()
     rows = []
     try:

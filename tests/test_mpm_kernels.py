@@ -95,7 +95,7 @@ def test_regions_are_their_own_materials() -> None:
     """Two blocks far apart in one simulation move as each does alone."""
     soft = replace(RUBBER, model="neo_hookean", youngs_modulus=5e4, density=300.0)
     x, volumes = block((0.15, 0.15, 0.1), DX / 2)
-    far = x + [40 * DX, 0, 0]
+    far = x + np.array([40 * DX, 0, 0])
     both = np.concatenate([x, far])
     region = np.repeat([0, 1], len(x))
     options = {"dx": DX, "dt": 2e-4, "times": [0.01], "precision": "float64", "planes": [ground_plane(0.4)]}

@@ -60,6 +60,21 @@ def test_momentum_is_conserved_while_vibrating() -> None:
     assert total[0] > total[1] > total[2] > 0
 
 
+@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-4), ("float64", 1e-11)])
+def test_momentum_over_ten_thousand_steps(precision: str, tolerance: float) -> None:
+    """A spinning, vibrating body in empty space keeps both momenta to float precision."""
+    x, volumes = block((0.1, 0.1, 0.15), DX / 2, lowest=1.0)
+    masses = volumes * RUBBER.density
+    rest = initial_state(x, masses, [0.5, -0.2, 0.1], [2, 5, -3])
+    noise = 0.2 * np.random.default_rng(0).normal(size=x.shape)
+    start = replace(rest, velocities=rest.velocities + noise)
+    result = run(start, volumes, [10_000 * DT], gravity=(0, 0, 0), precision=precision, planes=())
+    assert result.steps == 10_000
+    momentum, spin = linear_momentum(start, masses), angular_momentum(start, masses, DX)
+    assert np.linalg.norm(linear_momentum(result.final, masses) - momentum) < tolerance * np.linalg.norm(momentum)
+    assert np.linalg.norm(angular_momentum(result.final, masses, DX) - spin) < tolerance * np.linalg.norm(spin)
+
+
 def test_bar_rings_at_its_frequency() -> None:
     """A free bar of length L with nu = 0: first longitudinal period 2 L / sqrt(E/rho) within 1%, little damping."""
     material = replace(RUBBER, poisson_ratio=0.0)

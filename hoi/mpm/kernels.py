@@ -141,7 +141,7 @@ def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.tem
     c0, c1, c2 = c[3 * p], c[3 * p + 1], c[3 * p + 2]
     f0, f1, f2 = f[3 * p], f[3 * p + 1], f[3 * p + 2]
     j = matrix(f0, f1, f2).determinant()
-    if j > 0.0:
+    if j > 0.0:  # pyright: ignore[reportOptionalOperand]
         row = region[ti.min(p, region.shape[0] - 1)]
         t0, t1, t2 = zero(), zero(), zero()
         for i in ti.static(range(len(models))):
@@ -405,16 +405,15 @@ def step_parallel(
 
 @ti.kernel
 def look(
-    shares: int, models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(), f: ti.types.ndarray(),
-    hardening: ti.types.ndarray(), region: ti.types.ndarray(), materials: ti.types.ndarray(),
-    seen: ti.types.ndarray(),
-    dx: float,
+    shares: int, models: ti.template(), x: ti.types.ndarray(), v: ti.types.ndarray(), c: ti.types.ndarray(),
+    f: ti.types.ndarray(), hardening: ti.types.ndarray(), region: ti.types.ndarray(), materials: ti.types.ndarray(),
+    seen: ti.types.ndarray(), dx: float,
 ):  # fmt: skip
     """What the next time step and window depend on, a pair of rows of `seen` (2 shares) for each share of particles.
 
     (least x, y, z; greatest speed^2) and (greatest x, y, z; greatest stiffness / density); a speed^2 of NOT_FINITE says
-    that something is not finite. The speed is that of a particle's nodes, |v| + dx/2 |C|: after a crash C alone may turn
-    a particle inside out within a step.
+    that something is not finite. The speed is that of a particle's nodes, |v| + dx/2 |C|: after a crash C alone may
+    turn a particle inside out within a step.
     """
     size = (x.shape[0] + shares - 1) // shares
     ti.loop_config(block_dim=1)
