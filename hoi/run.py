@@ -103,7 +103,10 @@ def main() -> None:
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except KeyboardInterrupt:
         print("hoi: interrupted, nothing recorded", file=sys.stderr)
-        code = 130
+        # At its end Python may raise the same signal again, and the exit code would be that of a killed process.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(130)
     except RunError as error:
         print(f"hoi: {error}", file=sys.stderr)
         code = 3

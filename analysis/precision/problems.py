@@ -220,9 +220,9 @@ LEVEL = 0.9
 def hertz() -> Problem:
     """A ball comes down at 0.02 c* on the frictionless ground: quasi-static, as Hertz's theory has it.
 
-    With c* = sqrt(E*/rho) its compression is delta/R = (5 pi/4 (v/c*)^2)^(2/5) = 0.076, its contact spans
-    0.27 R (the theory wants that small: it is good to some 2% here) and lasts as long as a wave takes for 6 diameters,
-    so that hardly any energy stays in it as vibration: the restitution is 1 within about a hundredth.
+    With c* = sqrt(E*/rho) its compression is delta/R = (5 pi/4 (v/c*)^2)^(2/5) = 0.076 and its contact spans 0.27 R;
+    the theory wants that small, and is good to a few per cent here. Contact lasts as long as a wave takes for 6
+    diameters, so that hardly any energy stays in it as vibration: the restitution is 1 within about a hundredth.
     """
     material = Material("rubber", "neo_hookean", 1e5, 0.3, 1000.0, 0.5, 0.0)
     radius = 0.5

@@ -145,7 +145,9 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
     figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, fontsize=9.5)
     title = "Error against run time of the object's physics"
     figure.text(0.01, 1 - 0.1 / height, title, fontsize=15, color=INK, va="top")
-    under = f"{noted['machine']}; {noted['threads']} thread; taichi {noted['taichi']}; commit {noted['commit'][:10]}"
+    commit, _, dirty = noted["commit"].partition("+")
+    threads = "1 thread" if noted["threads"] == "1" else f"{noted['threads']} threads"
+    under = f"{noted['machine']}; {threads}; taichi {noted['taichi']}; commit {commit[:14]} {dirty}"
     figure.text(0.01, 1 - 0.45 / height, under, fontsize=9, color=MUTED, va="top")
     figure.tight_layout(rect=(0, 0.65 / height, 1, 1 - 0.6 / height), h_pad=2.0)
     figure.savefig(path)
