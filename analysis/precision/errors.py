@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from hoi.data import Array
@@ -61,8 +62,8 @@ def rotation_angle(rotation: Array) -> Array:
     return np.arctan2(sine, np.trace(rotation, axis1=-2, axis2=-1) - 1)
 
 
-def probe_weights(particles: Array, probes: Array) -> Array:
-    """Weights W (M, P) with W @ particles = probes, and so for any affine motion of them: second order otherwise.
+def probe_weights(particles: Array, probes: Array) -> csr_array:
+    """Sparse weights W (M, P) with W @ particles = probes, and so for any affine motion; second order for others.
 
     Of all affine-exact weights of the nearest particles, those of moving least squares with a Gaussian of their reach.
     """
@@ -72,9 +73,9 @@ def probe_weights(particles: Array, probes: Array) -> Array:
     basis = np.concatenate([np.ones((*near.shape, 1)), (particles[near] - probes[:, None]) / reach[..., None]], axis=2)
     moment = np.einsum("mn,mni,mnj->mij", bell, basis, basis)
     at_probe = np.linalg.solve(moment, np.eye(4)[:1].T)[..., 0]  # the basis at the probe is (1, 0, 0, 0)
-    weights = np.zeros((len(probes), len(particles)))
-    np.put_along_axis(weights, np.asarray(near), bell * np.einsum("mni,mi->mn", basis, at_probe), axis=1)
-    return weights
+    weights = bell * np.einsum("mni,mi->mn", basis, at_probe)
+    rows = np.repeat(np.arange(len(probes)), weights.shape[1])
+    return csr_array((weights.ravel(), (rows, np.ravel(near))), shape=(len(probes), len(particles)))
 
 
 def observed_order(steps: Sequence[float] | Array, errors: Sequence[float] | Array) -> float:

@@ -1,5 +1,6 @@
 """Variants of how a problem is computed, and what each of them costs and gets wrong."""
 
+import operator
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -104,7 +105,7 @@ def run(problem: Problem, variant: Variant, threads: int = 1, dt: float | None =
     pick: Callable[[Array], Array] = picked
     if problem.motion is None:
         weights = probe_weights(start.positions, probes(problem))
-        pick = partial(np.matmul, weights)
+        pick = partial(operator.matmul, weights)
     move = STAND_INS.get(variant.kind)
     if move is not None:
         began = clock(threads)
