@@ -97,6 +97,11 @@ class Precision(StrEnum):
     float64 = "float64"
 
 
+class Spline(StrEnum):
+    quadratic = "quadratic"
+    cubic = "cubic"
+
+
 class RefineKind(StrEnum):
     video_sds = "video_sds"
     none = "none"
@@ -280,6 +285,8 @@ class MPMConf(MoverConf):
     """Time step [s]; null chooses it from the stability limit."""
     limit_fraction: float = MISSING
     """Fraction of the stability limit that a chosen dt takes."""
+    spline: Spline = MISSING
+    """B-splines between particles and grid."""
     precision: Precision = MISSING
     phases: bool = MISSING
     """Leave out the steps that the motion does not need: rest, and flight between contacts."""

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hoi.config import Config, MPMConf
+from hoi.config import Config, MPMConf, Spline
 from hoi.data import Array, Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.errors import RunError
 from hoi.mpm.collider import Collider
 from hoi.mpm.state import centre_of_mass, initial_state, kick
 from hoi.progress import Stage
@@ -98,11 +99,14 @@ def _mpm(
             gravity=scene.gravity,
             planes=planes,
             collider=None if collider is None else replace(collider, times=collider.times - now),
+            spline=conf.spline.value,
             precision=conf.precision.value,
             threads=threads,
             device="cuda" if device == "cuda" else "cpu",
         )
 
+    width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
+    reaches = [reach_of(plane, dx, width) for plane in planes]
     whole = not any(material.model in NEVER_RIGID for material in thing.materials)
     walk = Walk(
         state,
@@ -110,15 +114,18 @@ def _mpm(
         simulation,
         end=float(times[-1]),
         gravity=scene.gravity,
-        surroundings=Surroundings(planes, [reach_of(plane, dx) for plane in planes], collider, 1.5 * math.sqrt(3) * dx),
+        surroundings=Surroundings(planes, reaches, collider, 0.5 * width * math.sqrt(3) * dx),
         size=thing.size,
-        moment=dx**2 / 4,
+        moment=dx**2 / (4 if width == 3 else 3),
         frequency=lowest_frequency(thing.particles, thing.masses, thing.materials) if whole else None,
         tolerance=conf.vibration_tolerance if conf.phases else None,
     )
     states, phases = [], []
     for time in times:
-        reached, phase = walk.advance(float(time))
+        try:
+            reached, phase = walk.advance(float(time))
+        except RunError as error:
+            raise RunError(f"object at frame {start + walk.time * scene.fps:.2f}: {error}") from error
         states.append(reached)
         phases.append(phase)
         stage.advance()

@@ -37,8 +37,11 @@ def run_stage(function):
         return function(stage)
 
 
-def test_free_fall_by_mpm(scene_of):
-    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.placement.velocity=[1,0,2]")
+@pytest.mark.parametrize("spline", ["quadratic", "cubic"])
+def test_free_fall_by_mpm(scene_of, spline):
+    config, scene = scene_of(
+        COARSE, f"stage.object.spline={spline}", "scene.placement.position=[0,2,3]", "scene.placement.velocity=[1,0,2]"
+    )
     move = movers.mover(config, "cpu")
     trajectory, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
     time = np.arange(scene.frames)[:, None] / scene.fps

@@ -102,17 +102,17 @@ class Tally:
         return left_out / self.seconds["mpm"] * self.steps if left_out else 0.0
 
 
-def reach_of(plane: Plane, dx: float) -> float:
+def reach_of(plane: Plane, dx: float, width: int = 3) -> float:
     """How far from a plane a particle's stencil still meets a node that the plane holds [m].
 
-    The stencil of quadratic splines reaches 1.5 cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`,
+    A stencil of `width` nodes reaches half as many cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`,
     and in layers a whole cell apart where the plane is parallel to them.
     """
     normal, depth = plane.normal, PLANE_DEPTH * dx
     if np.abs(normal).max() > 1 - 1e-12:
         height = float(plane.point @ normal)
         depth = height - math.floor((height - depth) / dx + 1e-6) * dx
-    return 1.5 * dx * float(np.abs(normal).sum()) - depth
+    return 0.5 * width * dx * float(np.abs(normal).sum()) - depth
 
 
 def lowest_frequency(positions: Array, masses: Array, materials: Sequence[Material]) -> float:
