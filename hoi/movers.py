@@ -60,7 +60,7 @@ def mover(config: Config, device: str) -> Mover:
     conf = config.stage.object
     if not isinstance(conf, MPMConf):
         return constant_velocity
-    threads = config.threads or len(os.sched_getaffinity(0))
+    threads = config.threads or os.cpu_count() or 1
     return partial(_mpm, conf=conf, size=config.object.size, threads=threads, device=device)
 
 
