@@ -14,9 +14,9 @@ world lattice x_i = i dx. Nothing else of the world has nodes. Float types follo
 float64 in both precisions: one step moves a particle by less than the float32 spacing at a metre.
 
 Vectors in memory have four places, matrices are three such columns, and on a CPU Taichi is told to keep vectors whole
-(`real_matrix_scalarize=False`): each then is one vector register (measured: a step takes 0.55 of the time that it took with
-vectors of three in single places). Taichi 1.7 crashes there on casts, logarithms, unary minus and -= of whole vectors and
-on vectors of three in memory, so these are written place by place or another way.
+(`real_matrix_scalarize=False`): each then is one vector register (measured: a step takes 0.55 of the time that it took
+with vectors of three in single places). Taichi 1.7 crashes there on casts, logarithms, unary minus and -= of whole
+vectors and on vectors of three in memory, so these are written place by place or another way.
 
 With one thread many steps are one launch. With more each thread scatters its own share of the particles into its own
 copy of the grid, so nothing is atomic and sums have a fixed order for a given number of threads. On a GPU each particle
