@@ -6,8 +6,11 @@ Exit codes: 0 done; 2 bad input; 3 the run itself failed; 130 interrupted.
 """
 
 import os
+import signal
 import sys
+import threading
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 from hydra.errors import HydraException
@@ -78,11 +81,40 @@ def _one_line(error: BaseException) -> str:
     return f"{key}: {text}" if key and key not in text else text
 
 
+GRACE = 3.0
+"""How long an interrupted run has to clean up before it is ended [s]."""
+
+
+def end_when_interrupted() -> None:
+    """From now on Ctrl-C ends the process with 130, also where a library swallows the KeyboardInterrupt.
+
+    Some do while they are imported. A process that was started to ignore the signal goes on ignoring it.
+    """
+
+    def interrupt(*_: object) -> None:
+        watchdog = threading.Timer(GRACE, leave_interrupted)
+        watchdog.daemon = True
+        watchdog.start()
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
+
+
+def leave_interrupted() -> NoReturn:
+    """Ends the process at once: at its end Python may raise the signal again, and change the exit code."""
+    print("hoi: interrupted, nothing recorded", file=sys.stderr)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(130)
+
+
 def main() -> None:
     """Entry point of `python -m hoi.run` and of the `hoi` command."""
     if not (3, 11) <= sys.version_info[:2] <= (3, 13):
         sys.exit(f"hoi needs Python 3.11 to 3.13 (what taichi has wheels for), this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
+    end_when_interrupted()
     register()
     code = 0
 
@@ -102,11 +134,7 @@ def main() -> None:
     try:
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except KeyboardInterrupt:
-        print("hoi: interrupted, nothing recorded", file=sys.stderr)
-        # At its end Python may raise the same signal again, and the exit code would be that of a killed process.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(130)
+        leave_interrupted()
     except RunError as error:
         print(f"hoi: {error}", file=sys.stderr)
         code = 3

@@ -160,6 +160,23 @@ def test_interrupt_leaves_nothing_that_looks_complete(tmp_path):
     assert not list((tmp_path / "here").iterdir())
 
 
+def test_a_swallowed_interrupt_ends_the_run_all_the_same():
+    code = """
+import os, signal, time
+from hoi.run import end_when_interrupted
+signal.signal(signal.SIGINT, signal.default_int_handler)
+end_when_interrupted()
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+except BaseException:
+    time.sleep(60)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)
+    assert done.returncode == 130
+    assert done.stderr == "hoi: interrupted, nothing recorded\n"
+
+
 @pytest.mark.parametrize("name", ["plant.splat", "spot_10k.splat"])
 def test_captured_object(name, shared_objects, tmp_path):
     size = "0.5" if name.startswith("plant") else "0.4"
