@@ -1,3 +1,9 @@
 """hoi: physically-aware 4D human-object interaction from a sentence and two Gaussian clouds."""
 
+import os
+
 __version__ = "0.1.0"
+
+# Read by Taichi when it is imported: no banner, no look for a newer version on the network.
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
+os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")

@@ -11,10 +11,10 @@ import pytest
 import taichi as ti
 from mpm_examples import EXAMPLES, deformations, rotations, stretched
 
+from hoi.compute import start_taichi
 from hoi.data import Material
 from hoi.mpm import materials
 from hoi.mpm.constitutive import FLOWS, PARAMETERS, kirchhoff_stress, parameters, return_map, stiffness
-from hoi.mpm.solver import _start_taichi
 
 DT = 1e-3
 
@@ -64,7 +64,7 @@ class Evaluated:
     """What the kernel makes of F (N, 3, 3), C (N, 3, 3) and hardening (N,); inputs as rounded to the precision."""
 
     def __init__(self, material: Material, precision: Any, f: Any, c: Any = 0.0, hardening: Any = 0.0) -> None:
-        _start_taichi(precision, 1, "cpu")
+        start_taichi(precision, 1, "cpu")
         self.f = np.asarray(f, dtype=precision)
         self.c = np.broadcast_to(np.asarray(c, dtype=precision), self.f.shape)
         self.before = np.broadcast_to(np.asarray(hardening, dtype=precision), len(self.f))

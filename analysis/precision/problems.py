@@ -21,9 +21,9 @@ from scipy.optimize import curve_fit
 
 from analysis.precision.bodies import ball, block
 from analysis.precision.hertz import contact_time, hertz_path, hertz_share
+from hoi.compute import Precision
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.mpm.rigid import Flight, fit
-from hoi.mpm.solver import Precision
 from hoi.mpm.state import initial_state
 
 GRAVITY = (0.0, 0.0, -9.81)

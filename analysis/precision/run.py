@@ -12,11 +12,12 @@ import pandas as pd
 from analysis.precision.bodies import vibration_tolerance
 from analysis.precision.errors import compare, pareto_front, probe_weights
 from analysis.precision.problems import FIELDS, Observed, Problem, picked
+from hoi.compute import Precision
 from hoi.data import Array, ObjectState
 from hoi.errors import RunError
 from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
 from hoi.mpm.rigid import Flight, fit
-from hoi.mpm.solver import Precision, Simulation, Spline
+from hoi.mpm.solver import Simulation, Spline
 from hoi.mpm.stability import DEFAULT_FRACTION
 from hoi.mpm.state import centre_of_mass
 

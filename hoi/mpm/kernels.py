@@ -28,14 +28,12 @@ is a thread and one grid takes atomics.
 
 import taichi as ti
 
+from hoi.compute import CPU_TASK
 from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule
 from hoi.mpm.constitutive import FLOWS, KEEPS_TOTAL, kirchhoff_stress, return_map, stiffness
 
 DONE, AT_RIM, INVERTED, STOP = 0, 1, 2, 3
 """Places in `status`: steps done; a particle is at the rim of the window; some J <= 0; either, once a step is over."""
-CPU_TASK = 512
-"""Turns of a parallel loop that Taichi gives a CPU thread at the least, whatever block_dim says (measured): a thread's
-share of the work hangs on the first of so many."""
 NOT_FINITE = 1e30
 """Stands for infinity, which fast arithmetic takes not to exist."""
 

@@ -1,7 +1,5 @@
 """Runs the MLS-MPM of `hoi.mpm.kernels` from one state of the object to the next, in a window of the grid around it."""
 
-import contextlib
-import io
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -11,9 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import taichi as ti
 from numpy.typing import ArrayLike, NDArray
-from taichi.lang import impl
-from taichi.lang.misc import is_arch_supported
 
+from hoi.compute import Device, Precision, start_taichi
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
 from hoi.mpm import boundary, constitutive, kernels
@@ -21,8 +18,6 @@ from hoi.mpm.collider import Collider
 from hoi.mpm.stability import DEFAULT_FRACTION, STABLE_CFL, choose_time_step, diffusivity, stable_step
 from hoi.mpm.state import centre_of_mass, check_state, energies
 
-Precision = Literal["float32", "float64"]
-Device = Literal["cpu", "cuda"]
 Spline = Literal["quadratic", "cubic"]
 
 MARGIN = 2
@@ -204,7 +199,7 @@ class Simulation:
         self.push_start, self.push_end = math.inf, -math.inf
 
         started = time.perf_counter()
-        _start_taichi(precision, threads, device)
+        start_taichi(precision, threads, device)
         self.on_gpu, self.threads = device == "cuda", 1 if device == "cuda" else threads
         self.serial = device == "cpu" and threads == 1
         self.real = ti.f32 if precision == "float32" else ti.f64
@@ -543,27 +538,3 @@ def _check_times(times: Sequence[float] | Array) -> Array:
     ):
         raise InputError(f"mpm times must be a list of increasing times from 0 on [s], got {times.tolist()}")
     return times
-
-
-def _start_taichi(precision: Precision, threads: int, device: Device) -> None:
-    """Starts Taichi, unless it runs with just these settings: then its compiled kernels are kept."""
-    real = {"float32": ti.f32, "float64": ti.f64}.get(precision)
-    arch = {"cpu": ti.cpu, "cuda": ti.cuda}.get(device)
-    if real is None:
-        raise InputError(f"mpm precision must be float32 or float64, got {precision!r}")
-    if arch is None:
-        raise InputError(f"mpm device must be cpu or cuda, got {device!r}")
-    if not (isinstance(threads, int) and threads >= 1):
-        raise InputError(f"mpm threads must be a positive integer, got {threads!r}")
-    if impl.get_runtime().prog is not None:
-        config = impl.current_cfg()
-        on_cpu = config.arch != ti.cuda
-        if (on_cpu, config.default_fp, config.cpu_max_num_threads) == (device == "cpu", real, threads):
-            return
-    if device == "cuda" and not is_arch_supported(ti.cuda):
-        raise InputError("mpm device is cuda, but Taichi finds no CUDA device; use cpu")
-    with contextlib.redirect_stdout(io.StringIO()):  # ti.init prints the device it starts on
-        ti.init(
-            arch=arch, default_fp=real, default_ip=ti.i32, cpu_max_num_threads=threads, log_level=ti.ERROR,
-            enable_fallback=False, real_matrix_scalarize=device == "cuda",
-        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Pictures of Gaussians: cameras, the differentiable rasteriser, replay of a record, videos."""

@@ -1,0 +1,224 @@
+"""A finished run as Gaussians in the world, frame by frame: the person by skinning, the object by its F (torch)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import roma
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hoi import gaussians
+from hoi.body.skinning import BodyTensors, body_tensors, pose_gaussians, posed_means
+from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run
+from hoi.errors import InputError
+from hoi.render.action import Action
+from hoi.render.splats import Splats, from_cloud
+
+BLOCK = 131_072
+"""Posed Gaussians held at a time: several frames of a person cost less together, until they leave the cache."""
+OUTLINE_DIRECTIONS = 32
+"""In each of them the outermost Gaussian belongs to the outline."""
+OUTLINE_FRAMES = 8
+"""The frames, evenly spread, in which the object's outline is looked for."""
+FAINTEST = 0.05
+"""Opacity below which a Gaussian belongs to no outline."""
+NEWTON_STEPS, NEWTON_TOLERANCE = 8, 1e-4
+"""Of the polar decomposition; the tolerance is that of R R^T = I."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """A body ready to be posed and drawn."""
+
+    body: BodyTensors
+    scales: Tensor
+    """[m], (N, 3)."""
+    opacities: Tensor
+    """(N,)."""
+    sh: Tensor
+    """(N, K, 3), in the T-pose."""
+
+
+def person_tensors(body: Body, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Person:
+    """All Gaussians of `body` as tensors."""
+    scales, opacities, sh = (
+        torch.as_tensor(array, dtype=dtype, device=device)
+        for array in (body.cloud.scales, body.cloud.opacities, body.cloud.sh)
+    )
+    return Person(body_tensors(body, dtype=dtype, device=device), scales, opacities, sh)
+
+
+def posed(person: Person, translation: Tensor, orientation: Tensor, body_pose: Tensor) -> list[Splats]:
+    """The person in each of T poses, differentiable in them and in every tensor of `person`.
+
+    Args:
+        translation: (T, 3) [m], orientation: (T, 6), body_pose: (T, 23, 3) [rad], see `hoi.data.Motion`.
+
+    Returns:
+        T Splats: means by linear blend skinning, covariances R diag(scales^2) R^T, harmonics turned by the blended
+        rotation of the joints.
+    """
+    means, rotations = pose_gaussians(person.body, translation, orientation, body_pose)
+    root = rotations * person.scales[:, None, :]
+    sigma = root @ root.mT
+    turns: Sequence[Tensor | None] = [None] * len(means)
+    if person.sh.shape[1] > 1:
+        rest = roma.unitquat_to_rotmat(torch.nn.functional.normalize(person.body.quaternions, dim=-1).roll(-1, -1))
+        turns = (rotations @ rest.mT).unbind()
+    return [
+        Splats(mean, covariance, person.opacities, person.sh, turn)
+        for mean, covariance, turn in zip(means.unbind(), sigma.unbind(), turns, strict=True)
+    ]
+
+
+def polar_rotation(deformation_gradient: Tensor) -> Tensor:
+    """The rotation nearest to F, R of F = R S, for F (N, 3, 3); not differentiable.
+
+    Newton's iteration R <- (R + R^-T) / 2 (Higham 1986); by SVD where F mirrors or is too close to singular for it.
+    """
+    rotation = deformation_gradient
+    for _ in range(NEWTON_STEPS):
+        rotation = 0.5 * (rotation + torch.linalg.inv_ex(rotation).inverse.mT)
+        off = (rotation @ rotation.mT - torch.eye(3, device=rotation.device)).abs().amax((1, 2))
+        if off.max() < NEWTON_TOLERANCE:
+            break
+    failed = ~(off < NEWTON_TOLERANCE) | (torch.linalg.det(rotation) < 0)
+    if failed.any():
+        rotation[failed] = torch.as_tensor(roma.special_procrustes(deformation_gradient[failed]))
+    return rotation
+
+
+class _MovingPerson:
+    def __init__(self, body: Body, motion: Motion, device: torch.device | str) -> None:
+        self.frames = len(motion)
+        self._body, self._motion = body, motion
+        self._tensors = person_tensors(body, device=device)
+        arrays = (motion.translation, motion.orientation, motion.body_pose)
+        self._parameters = [torch.as_tensor(array, dtype=torch.float32, device=device) for array in arrays]
+        self._same_as = _last_change([array.reshape(len(motion), -1) for array in arrays])
+        self._block = max(1, BLOCK // max(1, len(body.cloud)))
+        self._posed: dict[int, Splats] = {}
+
+    def at(self, frame: int) -> Splats:
+        frame = int(self._same_as[frame])
+        if frame not in self._posed:
+            wanted = np.unique(self._same_as[frame : frame + self._block])
+            poses = posed(self._tensors, *(parameter[wanted] for parameter in self._parameters))
+            self._posed = dict(zip(wanted.tolist(), poses, strict=True))
+        return self._posed[frame]
+
+    def outline(self, frames: NDArray[np.int_]) -> Array:
+        rest = self._body.cloud.means
+        strongest = np.where(self._body.cloud.opacities < FAINTEST, -1, self._body.skinning_weights.argmax(1))
+        limbs = [np.flatnonzero(strongest == joint) for joint in np.unique(strongest[strongest >= 0])]
+        rows = np.concatenate([limb[_outermost(rest[limb])] for limb in limbs])
+        return posed_means(self._body, self._motion, frames=frames, subset=rows).astype(np.float64)
+
+
+class _MovingObject:
+    """The first particles are the Gaussians; without F they only move."""
+
+    def __init__(self, cloud: GaussianCloud, trajectory: ObjectTrajectory, device: torch.device | str) -> None:
+        self.frames = len(trajectory.positions)
+        self._cloud, self._device = cloud, device
+        self._positions = trajectory.positions[:, : len(cloud)]
+        gradient = trajectory.deformation_gradient
+        self._gradient = None if gradient is None else gradient[:, : len(cloud)]
+        self._still = from_cloud(cloud, device)
+        self._root = torch.as_tensor(
+            gaussians.rotation_matrices(cloud) * cloud.scales[:, None, :], dtype=torch.float32, device=device
+        )
+        self._same_as = _last_change([self._positions, *([] if self._gradient is None else [self._gradient])])
+        self._shown: tuple[int, Splats] | None = None
+
+    def at(self, frame: int) -> Splats:
+        frame = int(self._same_as[frame])
+        if self._shown is None or self._shown[0] != frame:
+            self._shown = frame, self._moved(frame)
+        return self._shown[1]
+
+    def _moved(self, frame: int) -> Splats:
+        means = self._tensor(self._positions[frame])
+        if self._gradient is None:
+            return replace(self._still, means=means)
+        deformation = self._tensor(self._gradient[frame])
+        root = deformation @ self._root
+        turns = polar_rotation(deformation) if self._still.sh.shape[1] > 1 else None
+        return replace(self._still, means=means, covariances=root @ root.mT, turns=turns)
+
+    def _tensor(self, array: Array) -> Tensor:
+        return torch.as_tensor(array, dtype=torch.float32, device=self._device)
+
+    def outline(self, frames: NDArray[np.int_]) -> Array:
+        seen = np.flatnonzero(self._cloud.opacities >= FAINTEST)
+        spread = np.unique(np.linspace(0, self.frames - 1, OUTLINE_FRAMES).round().astype(int))
+        rows = np.unique(np.concatenate([seen[_outermost(self._positions[at][seen])] for at in spread]))
+        return self._positions[frames[:, None], rows].astype(np.float64)
+
+
+class Replay:
+    """What a run shows in each frame; made by `replay`.
+
+    Frames may be asked for in any order; in sequence they cost least.
+    """
+
+    def __init__(self, person: _MovingPerson | None, thing: _MovingObject | None, run: Run, fps: float) -> None:
+        self.run = run
+        self.fps = fps
+        self._person, self._thing = person, thing
+        self._parts = tuple(part for part in (person, thing) if part is not None)
+        self.frames: int = self._parts[0].frames
+
+    def parts(self, frame: int) -> tuple[Splats, ...]:
+        """Person and object in a frame, whichever the run has.
+
+        A part that has not moved since the frame asked for before is the same object as then. No gradients.
+        """
+        if not 0 <= frame < self.frames:
+            raise IndexError(f"frame {frame}: 0 to {self.frames - 1} are there")
+        with torch.no_grad():
+            return tuple(part.at(frame) for part in self._parts)
+
+    def action(self, frames: Sequence[int] | None = None) -> Action:
+        """What a camera has to show, in all frames or in some."""
+        chosen = np.arange(self.frames) if frames is None else np.asarray(frames)
+        nothing = np.zeros((len(chosen), 0, 3))
+        person, thing = (nothing if p is None else p.outline(chosen) for p in (self._person, self._thing))
+        return Action(person=person, thing=thing, fps=self.fps)
+
+
+def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
+    """Prepare a run, as `hoi.record.read` gives it, for being drawn.
+
+    Raises:
+        InputError: the run has neither a motion nor a trajectory, or they differ in length.
+    """
+    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
+    if scene is None or (motion is None and trajectory is None):
+        raise InputError(f"the run has neither a motion nor a trajectory to show (status {run.result.get('status')})")
+    if motion is not None and trajectory is not None and len(motion) != len(trajectory.positions):
+        raise InputError(
+            f"the run's motion has {len(motion)} frames, its trajectory {len(trajectory.positions)}; they must agree"
+        )
+    person = None if motion is None else _MovingPerson(scene.body, motion, device)
+    thing = None if trajectory is None else _MovingObject(scene.object.cloud, trajectory, device)
+    return Replay(person, thing, run, scene.fps)
+
+
+def _outermost(points: Array) -> NDArray[np.int_]:
+    """Indices of the points that are outermost in some direction."""
+    return np.unique((points @ gaussians.fibonacci_sphere(OUTLINE_DIRECTIONS).T.astype(points.dtype)).argmax(0))
+
+
+def _last_change(series: Sequence[NDArray[Any]]) -> NDArray[np.int_]:
+    """For each of T frames the first one since which none of the arrays (T, ...) has changed, (T,)."""
+    frames = np.arange(len(series[0]))
+    for frame in frames[1:]:
+        # One entry tells most frames apart, and spares the pass over all of them.
+        if all(values[frame].flat[0] == values[frame - 1].flat[0] for values in series):
+            if all(np.array_equal(values[frame], values[frame - 1]) for values in series):
+                frames[frame] = frames[frame - 1]
+    return frames

@@ -1,0 +1,139 @@
+"""What the rasteriser takes and gives: Gaussians as tensors, whose harmonics turn with them, and pictures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import roma
+import torch
+from torch import Tensor
+
+from hoi.data import GaussianCloud
+from hoi.errors import InputError
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians in the world frame. Any of the tensors may carry gradients."""
+
+    means: Tensor
+    """[m], (N, 3)."""
+    covariances: Tensor
+    """Sigma [m^2], symmetric, (N, 3, 3)."""
+    opacities: Tensor
+    """In [0, 1], (N,)."""
+    sh: Tensor
+    """Harmonics in the Gaussians' own frames, (N, K, 3), K in {1, 4, 9, 16}; see `hoi.gaussians`."""
+    turns: Tensor | None = None
+    """Rotations that took the Gaussians from those frames to the world, (N, 3, 3); None: they have not turned."""
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One view of some Gaussians over a background."""
+
+    colour: Tensor
+    """RGB as the Gaussians have it, not clipped, (height, width, 3)."""
+    alpha: Tensor
+    """1 minus the share of the background that is left, (height, width)."""
+    depth: Tensor | None = None
+    """sum_i w_i z_i, camera z accumulated with the weights of the colours [m], (height, width); divided by alpha it is
+    the expected depth."""
+
+
+def from_cloud(cloud: GaussianCloud, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Splats:
+    """The cloud as it stands."""
+    means, quaternions, scales, opacities, sh = (
+        torch.as_tensor(array, dtype=dtype, device=device)
+        for array in (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.sh)
+    )
+    return Splats(means, covariances(quaternions, scales), opacities, sh)
+
+
+def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
+    """Sigma = R diag(scales^2) R^T, (N, 3, 3), of quaternions wxyz (N, 4), of any length, and scales (N, 3)."""
+    xyzw = torch.nn.functional.normalize(quaternions, dim=-1).roll(-1, -1)
+    root = roma.unitquat_to_rotmat(xyzw) * scales[..., None, :]
+    return root @ root.mT
+
+
+def join(parts: Sequence[Splats]) -> Splats:
+    """All Gaussians of the parts as one; harmonics that a part lacks are zero."""
+    if len(parts) == 1:
+        return parts[0]
+    bands = max(part.sh.shape[1] for part in parts)
+    turns = None
+    if any(part.turns is not None for part in parts):
+        still = torch.eye(3, dtype=parts[0].means.dtype, device=parts[0].means.device)
+        turns = torch.cat([still.expand(len(p), 3, 3) if p.turns is None else p.turns for p in parts])
+    padded = [torch.nn.functional.pad(part.sh, (0, 0, 0, bands - part.sh.shape[1])) for part in parts]
+    return Splats(
+        means=torch.cat([part.means for part in parts]),
+        covariances=torch.cat([part.covariances for part in parts]),
+        opacities=torch.cat([part.opacities for part in parts]),
+        sh=torch.cat(padded),
+        turns=turns,
+    )
+
+
+def check(splats: Splats) -> None:
+    """Refuses what cannot be drawn.
+
+    Raises:
+        InputError: a tensor has a wrong shape or holds a number that is not finite.
+    """
+    count, allowed = len(splats), {"means": [(3,)], "covariances": [(3, 3)], "opacities": [()], "turns": [(3, 3)]}
+    allowed["sh"] = [((degree + 1) ** 2, 3) for degree in range(4)]
+    for name, shapes in allowed.items():
+        tensor = getattr(splats, name)
+        if tensor is None:
+            continue
+        if tensor.shape not in [(count, *shape) for shape in shapes]:
+            raise InputError(f"splats.{name}: shape {tuple(tensor.shape)}; must be {(count, *shapes[-1])}")
+        if not bool(tensor.detach().sum().isfinite()):  # cheaper than to look at each, which may overflow
+            broken = int((~tensor.isfinite()).reshape(count, -1).any(1).sum())
+            if broken:
+                raise InputError(f"splats.{name}: {broken} of {count} Gaussians are not finite; drop them first")
+
+
+def sh_degree(splats: Splats) -> int:
+    """Degree of the harmonics, 0 to 3."""
+    return round(splats.sh.shape[1] ** 0.5) - 1
+
+
+def shade(splats: Splats, eye: Tensor, degree: int | None = None) -> Tensor:
+    """Colours (N, 3), not below 0, as seen from `eye` [m] (3,), with harmonics up to `degree` (default: all).
+
+    Harmonics turn with their Gaussians: the direction is taken back into the frame in which they were fitted, which is
+    the same as rotating the coefficients and much cheaper.
+    """
+    degree = sh_degree(splats) if degree is None else min(degree, sh_degree(splats))
+    colours = 0.5 + _C0 * splats.sh[:, 0]
+    if degree > 0:
+        directions = torch.nn.functional.normalize(splats.means - eye, dim=-1)
+        if splats.turns is not None:
+            directions = (directions[:, None, :] @ splats.turns)[:, 0]
+        basis = _higher_basis(directions, degree)
+        colours = colours + (basis[:, None, :] @ splats.sh[:, 1 : (degree + 1) ** 2])[:, 0]
+    return colours.clamp_min(0.0)
+
+
+_C0 = 0.28209479177387814
+
+
+def _higher_basis(directions: Tensor, degree: int) -> Tensor:
+    """Y_1.. of the 3DGS basis, as `hoi.gaussians.sh_basis` has it, of unit directions: (N, (degree + 1)^2 - 1)."""
+    x, y, z = directions.unbind(-1)
+    basis = [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+    if degree > 1:
+        xx, yy, zz = x * x, y * y, z * z
+        basis += [1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy)]
+        basis += [-1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy)]
+        if degree > 2:
+            basis += [-0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z]
+            basis += [-0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * (xx + yy))]
+            basis += [-0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy)]
+            basis += [-0.5900435899266435 * x * (xx - 3 * yy)]
+    return torch.stack(basis, -1)
