@@ -16,7 +16,7 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $(READY)
 
-run: $(READY)  ## the default scene: record it, draw a filmstrip, print both paths
+run: $(READY)  ## the default scene: record it, film it, draw a filmstrip, print the paths
 	$(BIN)/python -m hoi.run $(ARGS)
 	$(BIN)/python -m analysis.strip runs/kick_soccer_ball/laptop/full/s0/run.mcap
 
@@ -28,11 +28,12 @@ lint: $(READY)  ## ruff and the type checker
 	$(BIN)/ruff format --check
 	$(BIN)/basedpyright
 
-bench: $(READY)  ## seconds by stage of the default scene, and milliseconds a step of the MPM
+bench: $(READY)  ## seconds by stage of the default scene, milliseconds a step of the MPM and a picture
 	$(BIN)/python -m analysis.bench $(ARGS)
 	$(BIN)/python -m analysis.mpm_bench
+	$(BIN)/python -m analysis.render_bench
 
-precision: $(READY)  ## error against run time of the object's physics: table, report and picture in runs/precision
+precision: $(READY)  ## error against run time of physics and renderer: tables, reports, pictures in runs/precision
 	$(BIN)/python -m analysis.precision $(ARGS)
 
 table: $(READY)  ## the table of all runs, from their records

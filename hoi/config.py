@@ -107,6 +107,28 @@ class RefineKind(StrEnum):
     none = "none"
 
 
+class RenderKind(StrEnum):
+    video = "video"
+    none = "none"
+
+
+class View(StrEnum):
+    """The names in `hoi.render.cameras.VIEWS`."""
+
+    front = "front"
+    side = "side"
+    three_quarter = "three_quarter"
+    back = "back"
+    top = "top"
+    follow = "follow"
+
+
+class RenderBackend(StrEnum):
+    taichi = "taichi"
+    gsplat = "gsplat"
+    reference = "reference"
+
+
 @dataclass
 class HumanConf:
     """The person."""
@@ -317,6 +339,27 @@ class StageConf:
 
 
 @dataclass
+class RenderConf:
+    """The video of the finished run."""
+
+    kind: RenderKind = MISSING
+
+
+@dataclass
+class VideoConf(RenderConf):
+    """One picture a frame, from one camera."""
+
+    view: View = MISSING
+    """Where the camera stands."""
+    width: int = MISSING
+    height: int = MISSING
+    """[pixel], even."""
+    backend: RenderBackend = MISSING
+    sh_degree: int | None = None
+    """Highest degree of the Gaussians' harmonics that is drawn; null draws all."""
+
+
+@dataclass
 class PlacementConf:
     """The object at t = 0."""
 
@@ -396,6 +439,7 @@ class Config:
     object: ObjectConf = MISSING
     material: MaterialConf = MISSING
     stage: StageConf = field(default_factory=StageConf)
+    render: RenderConf = MISSING
     scene: SceneConf = MISSING
 
 
@@ -405,6 +449,8 @@ SCHEMAS: dict[tuple[str, str], type] = {
     ("schema", "object"): ObjectConf,
     ("schema", "material"): MaterialConf,
     ("schema", "scene"): SceneConf,
+    ("schema", "video"): VideoConf,
+    ("schema", "no_render"): RenderConf,
     ("schema/stage", "hmsd"): HMSDConf,
     ("schema/stage", "no_motion"): MotionConf,
     ("schema/stage", "coordinate"): CoordinateConf,

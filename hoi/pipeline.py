@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -15,16 +16,28 @@ from hoi import movers
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.collision import limb_collider
-from hoi.config import Config, ContactModel, Device, HMSDConf, ImpulseConf
+from hoi.config import (
+    Config,
+    ContactModel,
+    Device,
+    HMSDConf,
+    ImpulseConf,
+    RenderBackend,
+    RenderConf,
+    VideoConf,
+)
 from hoi.contact import find_contact
 from hoi.coordination import coordinate, find_target
 from hoi.data import Array, Plan, Run, Scene, State
 from hoi.errors import InputError, RunError
 from hoi.gaussians import colours
 from hoi.plan import format_plan
-from hoi.progress import Stages
-from hoi.record import write
+from hoi.progress import Stage, Stages
+from hoi.record import Footage, write
 from hoi.scene import build_scene
+
+if TYPE_CHECKING:
+    from hoi.render.encode import Video
 
 
 def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages) -> Iterator[State]:
@@ -85,40 +98,95 @@ def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages
 
 
 def run(config: Config, plan: Plan, path: Path, config_yaml: str, provenance: dict[str, str]) -> Run:
-    """Walk the method and record it at `path`.
+    """Walk the method, record it at `path`, and put its video beside it as .mp4.
 
     Raises:
+        InputError: the config asks for what this machine has not.
         RunError: the run failed; what it had is recorded at `run.failed.mcap` beside `path`.
     """
     started = time.perf_counter()
     device = pick_device(config.device)
     torch.set_num_threads(config.threads or torch.get_num_threads())
+    check_renderer(config.render)
     scene = build_scene(config)
     stages = Stages()
-    state = State()
+    finished = Run(config_yaml, provenance, {}, plan, (), (), scene, State())
+    video = footage = None
     failure: RunError | None = None
     try:
-        for after_stage in method(config, plan, scene, device, stages):
-            state = after_stage
+        for state in method(config, plan, scene, device, stages):
+            finished = replace(finished, state=state)
+        if isinstance(config.render, VideoConf):
+            with stages.stage("render", scene.frames) as stage:
+                video, footage = draw(finished, config.render, device, stage)
     except (RunError, MemoryError, torch.OutOfMemoryError) as error:
         failure = error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
     result = {
         "status": "failed" if failure else "done",
-        "outcome": str(failure) if failure else outcome(config, state),
+        "outcome": str(failure) if failure else outcome(config, finished.state),
         "variant": plan.variant,
         "device": device,
         "seconds": repr(time.perf_counter() - started),
         "peak_memory_mb": repr(peak_memory_mb()),
     }
-    finished = Run(config_yaml, provenance, result, plan, tuple(stages.reports), tuple(stages.history), scene, state)
+    finished = replace(finished, result=result, reports=tuple(stages.reports), history=tuple(stages.history))
     if failure:
         path = path.with_name("run.failed.mcap")
-    write(finished, path, *viewing_points(scene, state, config.human_points), plan_text=format_plan(plan))
+    else:
+        path.with_suffix(".mp4").unlink(missing_ok=True)  # of a run that this one replaces
+    points = viewing_points(scene, finished.state, config.human_points)
+    write(finished, path, *points, plan_text=format_plan(plan), footage=None if failure else footage)
+    if video is not None and not failure:
+        from hoi.render.encode import write_mp4
+
+        write_mp4(video, path.with_suffix(".mp4"))
     for line in (*scene.object.notes, summary(result)):
         print(line, file=sys.stderr)
     if failure:
         raise failure
     return finished
+
+
+def draw(run: Run, conf: VideoConf, device: str, stage: Stage) -> tuple["Video", Footage]:
+    """The video of a run, and what of it belongs in the record.
+
+    Raises:
+        RunError: the run cannot be drawn.
+    """
+    started = time.perf_counter()
+    from hoi.render.encode import encode
+    from hoi.render.film import cameras_of, film
+    from hoi.render.replay import replay
+
+    def counted(pictures: Iterator[Any]) -> Iterator[Any]:
+        for picture in pictures:
+            yield picture
+            stage.advance()
+
+    try:
+        shown = replay(run, device)
+        cameras = cameras_of(shown, conf.view.value, conf.width, conf.height)
+        pictures = film(shown, cameras, sh_degree=conf.sh_degree, backend=conf.backend.value, device=device)
+        video = encode(counted(pictures), shown.fps)
+    except InputError as error:  # what was put in has been checked: it is the run that cannot be drawn
+        raise RunError(f"render: {error}; render=none runs without a video") from error
+    stage.numbers["frames_per_second"] = len(video) / (time.perf_counter() - started)
+    return video, Footage(video.units, tuple(cameras))
+
+
+def check_renderer(conf: RenderConf) -> None:
+    """Find out now, and not when all is computed, whether the pictures can be drawn.
+
+    Raises:
+        InputError: the backend cannot run here.
+    """
+    if isinstance(conf, VideoConf) and conf.backend is RenderBackend.gsplat:
+        from hoi.render.gsplat_backend import load_gsplat
+
+        try:
+            load_gsplat()
+        except InputError as error:
+            raise InputError(f"render.{error}") from None
 
 
 def outcome(config: Config, state: State) -> str:

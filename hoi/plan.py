@@ -17,6 +17,8 @@ from hoi.config import (
     MaterialConf,
     MPMConf,
     RefineKind,
+    RenderBackend,
+    VideoConf,
     WindowedConf,
 )
 from hoi.data import Check, Material, Omission, Plan, Step
@@ -110,9 +112,12 @@ def make_plan(config: Config) -> Plan:
 
     stage, frames = config.stage, config.scene.frames
     mpm = stage.object if isinstance(stage.object, MPMConf) else None
+    video = config.render if isinstance(config.render, VideoConf) else None
+    needs_taichi = video is not None and video.backend is RenderBackend.taichi
     if mpm is None:
         without.append("no_mpm")
-        omissions.append(Omission("MPM", "stage/object is constant_velocity", "importing Taichi, the simulation"))
+        saves = "the simulation" if needs_taichi else "importing Taichi, the simulation"
+        omissions.append(Omission("MPM", "stage/object is constant_velocity", saves))
         steps.append(Step("free_motion", "constant_velocity", "straight line from the initial velocity"))
     elif mpm.phases and lies_still(config):
         because = "the object is stable, on the ground and at rest: it stays where it is (its elastic sag is left out)"
@@ -167,14 +172,23 @@ def make_plan(config: Config) -> Plan:
 
     without.append("no_video_sds")
     not_built = "it is not implemented yet" if stage.refine.kind is RefineKind.video_sds else "stage/refine is none"
-    omissions.append(Omission("refine", not_built, "the video prior, the renderer, stage 3"))
+    omissions.append(Omission("refine", not_built, "the video prior, stage 3"))
+
+    if video is not None:
+        detail = (
+            f"{frames} pictures of {video.width}x{video.height}, view {video.view.value}, to run.mp4 and the record"
+        )
+        steps.append(Step("render", video.backend.value, detail))
+    else:
+        omissions.append(Omission("render", "render is none", "the pictures, the encoder, run.mp4"))
 
     simulates = any(step.implementation == "mpm" for step in steps)
     if mpm is not None and simulates:
         checks.extend(_mpm_checks(config, mpm, materials))
         checks.append(_phases_check(mpm, materials))
     elif mpm is not None:
-        omissions.append(Omission("MPM", "no kept step simulates", "importing Taichi"))
+        saves = "the simulation" if needs_taichi else "importing Taichi"
+        omissions.append(Omission("MPM", "no kept step simulates", saves))
 
     checks.extend(_scene_checks(config, materials))
     order = list(PARTS)

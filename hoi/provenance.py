@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from hoi.config import Config, HMSDConf
 
-PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "hydra-core", "omegaconf", "transformers")
+PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
 NOT_HASHED = ("out", "overwrite", "plan_only")
 """Keys that do not change what is computed."""
 

@@ -39,14 +39,19 @@ def execute(composed: DictConfig, overrides: list[str]) -> None:
 
     facts = provenance(config, composed, overrides)
     path = Path(config.out) / "run.mcap"
+    video = path.with_suffix(".mp4")
     if _already_there(config, path, facts["config_hash"]):
         print(f"{path}: already computed with this config (overwrite=true computes it again)")
+        if video.exists():
+            print(f"{video}: its video")
         return
     _make_folder(path.parent)
     from hoi.pipeline import run
 
     run(config, plan, path, OmegaConf.to_yaml(composed, resolve=True), facts)
     print(f"recorded {path}")
+    if plan.keeps("render"):
+        print(f"filmed {video}")
 
 
 def _already_there(config: Config, path: Path, config_hash: str) -> bool:

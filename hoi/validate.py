@@ -18,9 +18,13 @@ from hoi.config import (
     MPMConf,
     ObjectKind,
     PlaneContact,
+    VideoConf,
     WindowedConf,
 )
 from hoi.errors import InputError
+
+SMALLEST_PICTURE, LARGEST_PICTURE = 16, 8192
+"""Edges that H.264 can have [pixel]; its colour planes are half as large, so they are even."""
 
 
 def to_config(composed: DictConfig) -> Config:
@@ -202,4 +206,14 @@ def validate(config: Config) -> list[str]:
             f"cells_across={mover.cells_across}, domain={mover.domain}, grid={mover.grid}",
             "given either cells_across or both domain and grid",
         )
+    render = config.render
+    if isinstance(render, VideoConf):
+        require(0.1 <= scene.fps <= 1000, "scene.fps", scene.fps, "in [0.1, 1000] [1/s] for a video")
+        for name in ("width", "height"):
+            value = getattr(render, name)
+            rule = f"an even number in [{SMALLEST_PICTURE}, {LARGEST_PICTURE}] [pixel]"
+            inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE
+            require(inside and value % 2 == 0, f"render.{name}", value, rule)
+        degree = render.sh_degree
+        require(degree is None or 0 <= degree <= 3, "render.sh_degree", degree, "0, 1, 2 or 3, or null")
     return problems

@@ -6,13 +6,22 @@ import sys
 import time
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
+import torch
 
 from analysis.metrics import post_impact_error
-from hoi.record import message_digest, read
+from hoi import pipeline
+from hoi.errors import InputError, RunError
+from hoi.plan import make_plan
+from hoi.progress import Stages
+from hoi.record import message_digest, read, video
+from hoi.render.cameras import project
+from hoi.validate import to_config
 
 SMOKE = ["experiment=smoke"]
+TINY_VIDEO = ["render=video", "render.width=96", "render.height=64"]
 
 
 def hoi(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -73,6 +82,108 @@ def test_finished_run_is_not_computed_again(runs):
     other = hoi(*SMOKE, "seed=7", f"out={out}", cwd=out)
     assert other.returncode == 2
     assert "overwrite=true" in other.stderr
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """The folder and the output of a run with a tiny video, which takes the shortest way to a simulated object."""
+    out = tmp_path_factory.mktemp("filmed")
+    done = hoi(*SMOKE, "ablation=no_mdm", *TINY_VIDEO, f"out={out}", cwd=out)
+    assert done.returncode == 0, done.stderr
+    return out, done
+
+
+def test_a_run_is_filmed_after_its_simulation(filmed):
+    out, done = filmed
+    run, footage = read(out / "run.mcap"), video(out / "run.mcap")
+    assert "mpm" in run.state.trajectory.phase, "Taichi is to be used before it draws"
+    assert sorted(file.name for file in out.iterdir()) == ["run.mcap", "run.mp4"]
+    assert str(out / "run.mp4") in done.stdout.splitlines()[-1]
+    assert len(footage) == run.scene.frames
+    with av.open(str(out / "run.mp4")) as film:
+        pictures = [picture.to_ndarray(format="rgb24") for picture in film.decode(video=0)]
+    assert len(pictures) == run.scene.frames
+    assert {picture.shape for picture in pictures} == {(64, 96, 3)}
+    decoder = av.CodecContext.create("h264", "r")
+    for unit, picture in zip(footage.units, pictures, strict=True):
+        (shown,) = decoder.decode(av.Packet(unit))
+        np.testing.assert_array_equal(shown.to_ndarray(format="rgb24"), picture)
+    (report,) = (report for report in run.reports if report.stage == "render")
+    assert report.numbers["frames_per_second"] == pytest.approx(run.scene.frames / report.seconds, rel=0.2)
+
+
+def test_a_finished_run_names_its_video_too(filmed):
+    out, _ = filmed
+    again = hoi(*SMOKE, "ablation=no_mdm", *TINY_VIDEO, f"out={out}", cwd=out)
+    assert again.returncode == 0 and "already computed" in again.stdout
+    assert str(out / "run.mp4") in again.stdout.splitlines()[-1]
+
+
+def test_the_video_shows_the_object_where_the_camera_says(filmed):
+    out, _ = filmed
+    run, footage = read(out / "run.mcap"), video(out / "run.mcap")
+    pixel, depth = project(footage.cameras[0], run.state.trajectory.com[0])
+    assert depth > 0
+    x, y = pixel.astype(int)
+    with av.open(str(out / "run.mp4")) as film:
+        first = next(film.decode(video=0)).to_ndarray(format="rgb24").astype(float)
+    assert np.abs(first[y, x] - first[y, 2]).max() > 20, "the ball stands out from the floor beside it"
+
+
+def test_the_same_record_gives_the_same_pictures(filmed, composed):
+    """What was drawn from memory is drawn again from the record, in another process: every bit is the run's alone."""
+    out, _ = filmed
+    run = read(out / "run.mcap")
+    conf = to_config(composed(*SMOKE, *TINY_VIDEO)).render
+    torch.set_num_threads(1)
+    with Stages().stage("render", run.scene.frames) as stage:
+        _, again = pipeline.draw(run, conf, "cpu", stage)
+    assert again.units == video(out / "run.mcap").units
+
+
+def test_a_run_without_a_video_removes_the_old_one_and_imports_no_renderer(tmp_path):
+    """Where the object needs no MPM, neither Taichi nor PyAV is imported."""
+    (tmp_path / "run.mp4").write_bytes(b"of an older run")
+    code = f"""
+import sys
+sys.argv = ["hoi.run", *{SMOKE}, "ablation=no_mpm", "stage/motion=none", "stage.coordinate.iterations=2"]
+sys.argv += ["render=none", "out={tmp_path}"]
+from hoi.run import main
+try: main()
+except SystemExit as end: assert not end.code, end.code
+print(sorted({{"taichi", "av", "gsplat"}} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
+    with pytest.raises(InputError, match="has no video"):
+        video(tmp_path / "run.mcap")
+
+
+def test_a_video_that_cannot_be_drawn_keeps_the_run(composed, tmp_path, monkeypatch):
+    """A fault of the renderer costs the video, not what was computed before it."""
+    monkeypatch.setattr("hoi.render.replay.replay", refuse)
+    options = ["human.gaussians=1000", "scene.frames=4", "scene.contact_frame=2", "ablation=no_mpm"]
+    config = to_config(composed(*SMOKE, *TINY_VIDEO, *options, "stage/motion=none", "stage/contact=none"))
+    with pytest.raises(RunError, match=r"render: splats are not finite; render=none runs without a video"):
+        pipeline.run(config, make_plan(config), tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})
+    assert [file.name for file in tmp_path.iterdir()] == ["run.failed.mcap"]
+    failed = read(tmp_path / "run.failed.mcap")
+    assert failed.result["status"] == "failed" and len(failed.state.trajectory.positions) == 4
+
+
+def refuse(*_, **__):
+    raise InputError("splats are not finite")
+
+
+def test_a_backend_that_is_not_there_is_refused_before_the_run(tmp_path):
+    if torch.cuda.is_available():
+        pytest.skip("gsplat may run here")
+    done = hoi(*SMOKE, *TINY_VIDEO, "render.backend=gsplat", "out=here", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "render.backend" in done.stderr and "Traceback" not in done.stderr
+    assert not list((tmp_path / "here").iterdir())
 
 
 def test_without_attraction_it_misses(runs):

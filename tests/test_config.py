@@ -8,12 +8,13 @@ import pytest
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, WindowedConf
+from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, VideoConf, View, WindowedConf
 from hoi.errors import InputError
+from hoi.render.cameras import HEIGHT, VIEWS, WIDTH
 from hoi.run import _one_line
 from hoi.validate import to_config
 
-GROUPS = ["human", "object", "material", "scene", "experiment", "ablation"]
+GROUPS = ["human", "object", "material", "scene", "experiment", "ablation", "render"]
 GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir())]
 EXTRA = {
     "object=from_file": ["object.path=thing.ply", "object.size=0.3"],
@@ -54,6 +55,20 @@ def test_an_object_brings_its_material_and_the_command_line_beats_it(composed):
     assert to_config(composed("object=basketball", "material=foam")).material.name == "foam"
 
 
+def test_every_view_can_be_filmed(composed):
+    assert [view.value for view in View] == list(VIEWS)
+    for name in VIEWS:
+        render = to_config(composed(f"render.view={name}")).render
+        assert isinstance(render, VideoConf) and render.view.value == name
+        assert (render.width, render.height) == (WIDTH, HEIGHT)
+
+
+def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
+    assert to_config(composed()).render.kind.value == "video"
+    assert to_config(composed("experiment=smoke")).render.kind.value == "none"
+    assert to_config(composed("experiment=smoke", "render=video")).render.kind.value == "video"
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -68,6 +83,11 @@ def test_an_object_brings_its_material_and_the_command_line_beats_it(composed):
         (["stage.contact.tau=0"], "stage.contact.tau must be in (0, 1], got 0"),
         (["stage.object.limit_fraction=1.5"], "stage.object.limit_fraction must be in (0, 1], got 1.5"),
         (["stage.object.grid=32"], "stage.object must be given either cells_across or both domain and grid"),
+        (["render.width=97"], "render.width must be an even number in [16, 8192] [pixel], got 97"),
+        (["render.height=8"], "render.height must be an even number in [16, 8192] [pixel], got 8"),
+        (["render.width=10000"], "render.width must be an even number in [16, 8192] [pixel], got 10000"),
+        (["scene.fps=2000"], "scene.fps must be in [0.1, 1000] [1/s] for a video, got 2000"),
+        (["render.sh_degree=4"], "render.sh_degree must be 0, 1, 2 or 3, or null, got 4"),
         (["object=from_file"], "object.size: no value given"),
         (["object=from_file", "object.size=1"], "object.path must be the path of a 3DGS file, got None"),
         (["human=avatar"], "human.path must be the path of a 3DGS PLY file, got None"),
@@ -88,6 +108,10 @@ def test_bad_values_are_named(composed, overrides, message):
         ("scene.frame=3", ["frame", "scene"]),
         ("material.youngs_modulus=stiff", ["youngs_modulus", "stiff"]),
         ("stage.motion.iterations=1.5", ["iterations", "1.5"]),
+        ("render=film", ["render", "film", "video"]),
+        ("render.view=left", ["view", "left", "three_quarter"]),
+        ("render.backend=cuda", ["backend", "cuda", "taichi"]),
+        ("render.width=wide", ["width", "wide"]),
     ],
 )
 def test_composition_errors_become_one_line(composed, override, words):
@@ -99,7 +123,7 @@ def test_composition_errors_become_one_line(composed, override, words):
 
 
 def test_front_door_imports_nothing_heavy():
-    heavy = ["torch", "taichi", "mcap", "transformers", "matplotlib", "trimesh", "scipy", "pandas"]
+    heavy = ["torch", "taichi", "av", "mcap", "transformers", "matplotlib", "trimesh", "scipy", "pandas"]
     code = f"import sys, hoi.run, hoi.plan; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "[]"
@@ -112,3 +136,4 @@ def test_sweeps_compose(composed, tmp_path):
         done = subprocess.run([*command, "plan_only=true"], capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout.count("variant ") >= 2
+        assert done.stdout.count("render is none") == done.stdout.count("variant ")

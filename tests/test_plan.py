@@ -83,6 +83,33 @@ def test_phases_are_planned(plan, overrides, phases):
     assert {check.name: check.value for check in plan(*overrides).checks}["phases"] == phases
 
 
+@pytest.mark.parametrize("ablation", ["full", "no_mpm", "no_contact"])
+def test_a_video_changes_no_label_and_no_other_step(plan, ablation):
+    seen, blind = plan(f"ablation={ablation}"), plan(f"ablation={ablation}", "render=none")
+    assert seen.variant == blind.variant
+    assert seen.keeps("render") and not blind.keeps("render")
+    assert "render" in omitted(blind) and "render" not in omitted(seen)
+    assert [step for step in seen.steps if step.name != "render"] == list(blind.steps)
+    assert omitted(seen) | {"render"} == omitted(blind)
+    assert seen.checks == blind.checks
+
+
+def test_the_video_is_described(plan):
+    (step,) = (s for s in plan("render.view=side", "render.width=96", "render.height=64").steps if s.name == "render")
+    assert step.implementation == "taichi"
+    assert all(word in step.reason for word in ("40 pictures", "96x64", "side", "run.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "spared"),
+    [([], False), (["render=none"], True), (["render.backend=reference"], True)],
+)
+def test_taichi_is_spared_only_where_nothing_needs_it(plan, overrides, spared):
+    for ablation in ("no_mpm", "no_contact"):
+        (mpm,) = (o for o in plan(f"ablation={ablation}", *overrides).omissions if o.what == "MPM")
+        assert ("importing Taichi" in mpm.saves) is spared
+
+
 def test_nothing_to_simulate_needs_no_mpm(plan):
     made = plan("ablation=no_contact")
     assert "MPM" in omitted(made)
@@ -134,7 +161,7 @@ def test_planning_is_light():
         "from hoi.run import main\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code, end.code\n"
-        "print([m for m in ('torch', 'taichi', 'mcap', 'scipy') if m in sys.modules])"
+        "print([m for m in ('torch', 'taichi', 'av', 'mcap', 'scipy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]", done.stderr

@@ -8,8 +8,10 @@ import shutil
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from demo_run import fk, make_run
@@ -22,6 +24,8 @@ from hoi.data import ContactSearch, Material, Plan, Plane, Run, State
 from hoi.errors import InputError, RunError
 from hoi.record.parts import scene_files, scene_from_files
 from hoi.record.schemas import JSON_SCHEMAS, PROTOBUF_SCHEMAS
+from hoi.render.cameras import look_at, project
+from hoi.render.encode import encode
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +40,18 @@ def path(demo, tmp_path_factory):
     return path
 
 
+@cache
+def footage() -> record.Footage:
+    """Five pictures, all different, from a camera that moves."""
+    rng = np.random.default_rng(1)
+    pictures = [np.full((32, 48, 3), 50 * shade, np.uint8) for shade in range(5)]
+    eyes = rng.normal((5, -3, 2), 0.5, (5, 3))
+    cameras = tuple(look_at(eye, (0, 1, 0.8), width=48, height=32) for eye in eyes)
+    return record.Footage(encode(pictures, 20).units, cameras)
+
+
 def save(path, demo, **options):
-    record.write(*demo[:1], path, *demo[1:], plan_text="full\n", **options)
+    record.write(*demo[:1], path, *demo[1:], **({"plan_text": "full\n", "footage": footage()} | options))
 
 
 def same(a, b, where="run"):
@@ -141,6 +155,11 @@ def test_a_state_without_a_scene_is_refused(demo, tmp_path):
         record.write(replace(demo[0], scene=None), tmp_path / "run.mcap", plan_text="")
     with pytest.raises(ValueError, match="go together"):
         record.write(demo[0], tmp_path / "run.mcap", demo[1], plan_text="")
+    longer = record.Footage(footage().units * 2, footage().cameras * 2)
+    with pytest.raises(ValueError, match="video of 10 pictures for a run of 5 frames"):
+        record.write(demo[0], tmp_path / "run.mcap", plan_text="", footage=longer)
+    with pytest.raises(ValueError, match="5 pictures and 1 cameras"):
+        record.Footage(footage().units, footage().cameras[:1])
     assert not list(tmp_path.iterdir())
 
 
@@ -154,6 +173,8 @@ def test_message_bytes_are_the_runs_alone(demo, path, tmp_path):
     other = replace(demo[0], state=replace(demo[0].state, trajectory=replace(trajectory, positions=moved)))
     save(tmp_path / "other.mcap", (other, *demo[1:]))
     assert record.message_digest(path) != record.message_digest(tmp_path / "other.mcap")
+    save(tmp_path / "blind.mcap", demo, footage=None)
+    assert record.message_digest(path) != record.message_digest(tmp_path / "blind.mcap")
 
 
 def test_metadata_and_attachments(demo, path):
@@ -172,6 +193,61 @@ def test_points_and_joints(demo, path):
     np.testing.assert_array_equal(positions, points)
     np.testing.assert_allclose(rgb, colours, atol=0.5 / 255 + 1e-6)
     np.testing.assert_allclose(record.joints(path), fk(run.scene.body, run.state.motion)[1], atol=1e-6)
+
+
+def test_video_comes_back(demo, path):
+    back = record.video(path)
+    assert back.units == footage().units
+    points = np.random.default_rng(0).normal((0, 1, 0.8), 0.3, (20, 3))
+    for camera, original in zip(back.cameras, footage().cameras, strict=True):
+        assert (camera.width, camera.height, camera.near) == (original.width, original.height, original.near)
+        np.testing.assert_allclose(camera.world_to_camera, original.world_to_camera, atol=1e-12)
+        for a, b in zip(project(camera, points), project(original, points), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_video_is_what_viewers_ask_for(path):
+    """Each message decodes to one picture as soon as it comes; the first, and every key frame, needs none before it."""
+    decoder = av.CodecContext.create("h264", "r")
+    decoder.flags |= av.codec.context.Flags.low_delay
+    decoder.thread_count = 1
+    means = []
+    for _, message, picture in messages(path, "/camera/video"):
+        assert (picture.format, picture.frame_id) == ("h264", "camera")
+        assert picture.timestamp.ToNanoseconds() == message.log_time
+        assert picture.data.startswith((b"\0\0\1", b"\0\0\0\1"))
+        kinds = {nal[0] & 31 for nal in picture.data.split(b"\0\0\1")[1:]}
+        assert {7, 8} <= kinds or 5 not in kinds, "SPS and PPS go with an IDR"
+        (shown,) = decoder.decode(av.Packet(picture.data))
+        means.append(shown.to_ndarray(format="rgb24").mean())
+    np.testing.assert_allclose(means, [0, 50, 100, 150, 200], atol=3)
+
+
+def test_calibration_projects_like_the_camera(path):
+    """What a viewer does with P and the frame on /tf."""
+    for number, ((_, _, calibration), (_, _, tf)) in enumerate(
+        zip(messages(path, "/camera/calibration"), messages(path, "/tf"), strict=True)
+    ):
+        camera = footage().cameras[number]
+        (place,) = (t for t in tf.transforms if t.child_frame_id == calibration.frame_id)
+        assert place.parent_frame_id == "world"
+        assert (calibration.width, calibration.height, calibration.distortion_model) == (48, 32, "plumb_bob")
+        assert np.array_equal(np.reshape(calibration.R, (3, 3)), np.eye(3)) and not any(calibration.D)
+        matrix_p = np.reshape(calibration.P, (3, 4))
+        assert np.array_equal(matrix_p[:, :3], np.reshape(calibration.K, (3, 3)))
+        point = np.array([0.1, 1.1, 0.9])
+        t = place.translation
+        local = matrix(place.rotation).T @ (point - [t.x, t.y, t.z])
+        u, v, w = matrix_p @ [*local, 1]
+        pixel, depth = project(camera, point)
+        np.testing.assert_allclose([u / w, v / w, w], [*pixel, depth], atol=1e-9)
+
+
+def test_a_record_without_a_video_says_so(demo, tmp_path):
+    save(tmp_path / "blind.mcap", demo, footage=None)
+    same(demo[0], record.read(tmp_path / "blind.mcap"))
+    refused(tmp_path / "blind.mcap", "has no video: its run failed, or was made with render=none", [record.video])
+    assert not messages(tmp_path / "blind.mcap", ["/camera/video", "/camera/calibration"])
 
 
 def test_times_are_the_scenes(demo, path):
@@ -246,7 +322,7 @@ def test_object_stride_thins_the_view_alone(demo, path, tmp_path):
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
-READERS = (record.read, record.read_metadata, record.posed_points, record.joints, record.message_digest)
+READERS = (record.read, record.read_metadata, record.posed_points, record.joints, record.video, record.message_digest)
 
 
 def refused(path, message, readers=READERS):
@@ -317,6 +393,9 @@ def test_other_formats_and_missing_parts(demo, path, tmp_path, monkeypatch):
     for topic, count in {"/human/motion": 5, "/object/state": 5, "/contact": 1}.items():
         refused(without(topic), f"0 messages on {topic} where {count} should be", [record.read])
     refused(without("/human/points"), "no messages on /human/points", [record.posed_points])
+    refused(without("/camera/video"), "has no video", [record.video])
+    refused(without("/camera/calibration"), "0 messages on /camera/calibration where 5 should be", [record.video])
+    refused(without("/tf"), "no messages on /tf", [record.video])
 
 
 def test_damage_never_gives_a_traceback(path, tmp_path):
@@ -414,7 +493,7 @@ def test_reading_needs_no_torch(path):
     code = (
         "import sys; from pathlib import Path; from hoi import record; "
         f"p = Path({str(path)!r}); record.read(p); record.posed_points(p); record.joints(p); "
-        "print(sorted({'torch', 'taichi', 'matplotlib', 'transformers'} & set(sys.modules)))"
+        "record.video(p); print(sorted({'torch', 'taichi', 'av', 'matplotlib', 'transformers'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -1,7 +1,9 @@
-"""Error against run time of the object's physics: `python -m analysis.precision [--quick] [-o runs/precision]`.
+"""Error against run time: `python -m analysis.precision [--quick] [--problems physics|renderer|NAMES] [-o FOLDER]`.
 
-Problems with known answers and benchmark scenes, each computed in many ways; see `analysis.precision.problems`,
-`.scenes`, `.run` for the ways and `.convergence` for the orders. Writes precision.csv, precision.md and precision.png.
+Of the object's physics: problems with known answers and benchmark scenes, each computed in many ways; see
+`analysis.precision.problems`, `.scenes`, `.run` for the ways and `.convergence` for the orders. Writes precision.csv,
+precision.md and precision.png. Of the renderer: pictures, each made in many ways; see `analysis.precision.pictures`.
+Writes rendering.csv, rendering.md and rendering.png.
 """
 
 import argparse
@@ -9,9 +11,13 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from hoi.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from analysis.precision.pictures import View
+    from analysis.precision.problems import Problem
 
 DEFAULT_OUT = Path("runs/precision")
 
@@ -25,10 +31,10 @@ class Parser(argparse.ArgumentParser):
 
 
 def main() -> None:
-    parser = Parser(prog="python -m analysis.precision", description="Error against run time of the object's physics.")
+    parser = Parser(prog="python -m analysis.precision", description="Error against run time.")
     parser.add_argument("-o", "--out", type=Path, default=DEFAULT_OUT, help=f"folder (default {DEFAULT_OUT})")
-    parser.add_argument("--problems", help="names, separated by commas (default: all)")
-    parser.add_argument("--quick", action="store_true", help="few and small variants of two problems")
+    parser.add_argument("--problems", help="names, physics or renderer, separated by commas (default: all)")
+    parser.add_argument("--quick", action="store_true", help="few and small variants of two problems and of pictures")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each short variant (default 3)")
     parser.add_argument("--threads", type=int, default=1, help="of each run (default 1)")
     arguments = parser.parse_args()
@@ -42,7 +48,7 @@ def main() -> None:
 
 
 def _study(arguments: argparse.Namespace) -> None:
-    from analysis.precision import convergence, report, run
+    from analysis.precision.pictures import VIEWS
     from analysis.precision.problems import EXACT
     from analysis.precision.scenes import SCENES
 
@@ -51,26 +57,49 @@ def _study(arguments: argparse.Namespace) -> None:
         raise InputError(f"--repeats must be 1 or more, got {arguments.repeats}")
     if not 1 <= arguments.threads <= cores:
         raise InputError(f"--threads must be from 1 to the {cores} cores of this machine, got {arguments.threads}")
-    known = {problem.__name__: problem for problem in (*EXACT, *SCENES)}
-    default = "waves,punch" if arguments.quick else ",".join(known)
-    names = (arguments.problems or default).split(",")
+    problems = {problem.__name__: problem for problem in (*EXACT, *SCENES)}
+    views = {view.__name__: view for view in VIEWS}
+    groups = {"physics": ["waves", "punch"] if arguments.quick else list(problems), "renderer": list(views)}
+    given = (arguments.problems or ",".join(groups)).split(",")
+    names = dict.fromkeys(name for word in given for name in groups.get(word, [word]))
+    known = [*problems, *views]
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"--problems must be of {', '.join(known)}, got {', '.join(unknown)}")
-    problems = [known[name]() for name in dict.fromkeys(names)]
+        raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if chosen := [problems[name] for name in names if name in problems]:
+        _physics(arguments, [make() for make in chosen], cores)
+    if chosen := [views[name] for name in names if name in views]:
+        _renderer(arguments, [make(arguments.quick) for make in chosen])
+
+
+def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: int) -> None:
+    from analysis.precision import convergence, report, run
 
     began = time.perf_counter()
-    orders = convergence.manufactured(arguments.quick) if "waves" in names else []
+    orders = convergence.manufactured(arguments.quick) if "waves" in [problem.name for problem in problems] else []
     table = run.study(
         problems, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads, cores=cores
     )
     orders += convergence.by_grid(table)
-    noted = report.facts(arguments.threads)
-    paths = report.write(arguments.out, problems, table, orders, noted)
+    paths = report.write(arguments.out, problems, table, orders, report.facts(arguments.threads))
     for order in orders:
         print(f"order    {order.series} ({order.quantity}): {order.observed:.2f} {order.verdict}")
     print(f"{len(table)} runs in {time.perf_counter() - began:.0f} s")
+    print(*paths, sep="\n")
+
+
+def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
+    from analysis.precision import picture_report, pictures, report
+
+    began = time.perf_counter()
+    table, off, truths = pictures.study(
+        views, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads
+    )
+    paths = picture_report.write(arguments.out, views, table, off, truths, report.facts(arguments.threads))
+    for name, difference in off.items():
+        print(f"{name:8} float64 against brute force: {difference:.1e} {picture_report.verdict(difference)}")
+    print(f"{len(table)} ways to make a picture in {time.perf_counter() - began:.0f} s")
     print(*paths, sep="\n")
 
 

@@ -77,12 +77,17 @@ def write(
 
 def markdown(problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[Order], noted: dict[str, str]) -> str:
     """The report as text."""
-    parts = ["# Error against run time of the object's physics", _list(noted), "## Observed orders", _orders(orders)]
+    parts = [
+        "# Error against run time of the object's physics",
+        markdown_list(noted),
+        "## Observed orders",
+        _orders(orders),
+    ]
     for problem in problems:
         rows = pd.DataFrame(table[table["problem"] == problem.name])
         parts.append(f"## {problem.name}: {problem.title}")
         if problem.notes:
-            parts.append(_list({name: f"{value:.4g}" for name, value in problem.notes.items()}))
+            parts.append(markdown_list({name: f"{value:.4g}" for name, value in problem.notes.items()}))
         parts.append(_rows(rows.sort_values("seconds"), problem))
     return "\n\n".join(parts) + "\n"
 
@@ -98,7 +103,7 @@ def _rows(rows: pd.DataFrame, problem: Problem) -> str:
         values = [f"{row[name]:.2e}" if np.isfinite(row[name]) else "" for name in numbers]
         seconds = f"{row['seconds']:.3g}" if np.isfinite(row["seconds"]) else "failed"
         lines.append([row["variant"], str(row["cells"]), seconds, *values, "*" if row["front"] else ""])
-    return _table(lines)
+    return markdown_table(lines)
 
 
 def _orders(orders: Sequence[Order]) -> str:
@@ -109,21 +114,21 @@ def _orders(orders: Sequence[Order]) -> str:
         lines.append(
             [o.series, o.quantity, " ".join(map(str, o.cells)), errors, f"{o.observed:.2f}", theory, o.verdict]
         )
-    return _table(lines)
+    return markdown_table(lines)
 
 
 def _unit(name: str) -> str:
     return f"{name} [rad]" if name == "orientation" else name
 
 
-def _table(lines: list[list[str]]) -> str:
+def markdown_table(lines: list[list[str]]) -> str:
     """A Markdown table of these cells, its columns aligned."""
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     text = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)) + " |" for line in lines]
     return "\n".join([text[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *text[1:]])
 
 
-def _list(values: dict[str, str]) -> str:
+def markdown_list(values: dict[str, str]) -> str:
     return "\n".join(f"- {name}: {value}" for name, value in values.items())
 
 

@@ -125,7 +125,7 @@ def paint(
     colours[body & (y <= waist) & (leg <= outfit.trouser_leg)] = outfit.trousers
     colours[body & (leg > outfit.trouser_leg) & (y < shoe_top + 0.05 * scale)] = outfit.socks
     colours[body & (y < shoe_top)] = outfit.shoes
-    colours[body & (y < points[:, 1].min() + 0.018 * scale)] = outfit.sole
+    colours[body & (y < points[:, 1].min() + 0.010 * scale)] = outfit.sole
 
     aside = np.abs(x - face.left_eye[0]) / face.scale
     above = (y - face.left_eye[1]) / face.scale

@@ -29,7 +29,7 @@ FLATNESS = 0.15
 """Standard deviation along the normal over the tangential one."""
 
 
-def load_person(name: str, gaussians: int = 16000, seed: int = 0) -> Body:
+def load_person(name: str, gaussians: int = 26000, seed: int = 0) -> Body:
     """One of the people in the package.
 
     Args:

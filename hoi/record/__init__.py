@@ -11,13 +11,16 @@ the same message bytes; wall-clock facts stand in the metadata alone.
 | `/human/points`, `/object/points` | `foxglove.PointCloud` | what a viewer draws |
 | `/human/joints`, `/object/com`, `/tf` | `foxglove.PosesInFrame`, `PoseInFrame`, `FrameTransforms` | skeleton, object |
 | `/scene` | `foxglove.SceneUpdate` | bones, ground, contact arrows |
+| `/camera/video` | `foxglove.CompressedVideo` | the video, H.264, a picture a frame |
+| `/camera/calibration` | `foxglove.CameraCalibration` | its camera, which is the frame `camera` on `/tf` |
 | `/object/energy` | JSON | kinetic, elastic, potential, total, speed, phase, to plot |
 
 Metadata: `hoi.record` (format), `hoi.run` (provenance), `hoi.result`. Attachments: `config.yaml`, `plan.txt`,
 `plan.json`, `scene.json`, `body.npz`, `object.npz`, `state.json`, `reports.json`, `history.csv`.
 """
 
-from hoi.record.reader import joints, message_digest, posed_points, read, read_metadata
+from hoi.record.camera import Footage
+from hoi.record.reader import joints, message_digest, posed_points, read, read_metadata, video
 from hoi.record.writer import write
 
-__all__ = ["joints", "message_digest", "posed_points", "read", "read_metadata", "write"]
+__all__ = ["Footage", "joints", "message_digest", "posed_points", "read", "read_metadata", "video", "write"]

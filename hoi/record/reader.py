@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from mcap.reader import McapReader, make_reader
@@ -29,8 +32,10 @@ from hoi.data import (
     Target,
 )
 from hoi.errors import InputError
+from hoi.record.camera import Footage, camera_of
 from hoi.record.parts import history_from_csv, restore, scene_from_files
 from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, POINT, ObjectState, to_array
+from hoi.record.views import CAMERA
 
 
 def read(path: Path) -> Run:
@@ -103,6 +108,29 @@ def joints(path: Path) -> Array:
         _metadata(reader, path)
         frames = [PosesInFrame.FromString(data).poses for data in _topic(reader, "/human/joints", path)]
     return np.array([[[p.position.x, p.position.y, p.position.z] for p in poses] for poses in frames])
+
+
+def video(path: Path) -> Footage:
+    """What the camera saw: the encoded pictures, and the camera of each.
+
+    Raises:
+        InputError: as `read`, or the record has no video.
+    """
+    with _opened(path) as reader:
+        _metadata(reader, path)
+        pictures = [message.data for _, _, message in reader.iter_messages(["/camera/video"])]
+        if not pictures:
+            raise InputError(f"{path} has no video: its run failed, or was made with render=none")
+        calibrations = _topic(reader, "/camera/calibration", path, len(pictures))
+        transforms = [FrameTransforms.FromString(data).transforms for data in _topic(reader, "/tf", path)]
+        places = [place for frame in transforms for place in frame if place.child_frame_id == CAMERA]
+        if len(places) != len(pictures):
+            raise InputError(f"{path} has {len(places)} frames {CAMERA} on /tf where {len(pictures)} should be")
+        cameras = [
+            camera_of(CameraCalibration.FromString(data), place)
+            for data, place in zip(calibrations, places, strict=True)
+        ]
+        return Footage(tuple(CompressedVideo.FromString(data).data for data in pictures), tuple(cameras))
 
 
 def message_digest(path: Path) -> str:

@@ -6,6 +6,8 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -103,6 +105,8 @@ PROTOBUF_SCHEMAS: dict[str, Any] = {
     "/object/com": PoseInFrame,
     "/tf": FrameTransforms,
     "/scene": SceneUpdate,
+    "/camera/calibration": CameraCalibration,
+    "/camera/video": CompressedVideo,
 }
 
 

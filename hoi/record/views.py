@@ -27,7 +27,7 @@ from hoi.data import Array, Contact, Motion, Run
 from hoi.gaussians import colours
 from hoi.record.schemas import POINT
 
-WORLD = "world"
+WORLD, CAMERA = "world", "camera"
 _BONE, _GROUND, _ARROW = (0.15, 0.45, 0.85, 1.0), (0.82, 0.82, 0.80, 0.6), (0.90, 0.25, 0.10, 1.0)
 _GROUND_SIZE = 8.0
 
@@ -43,8 +43,12 @@ def views(
     human_points: Array | None,
     human_colours: Array | None,
     object_stride: int,
+    camera_poses: tuple[Array, Array] | None = None,
 ) -> Iterator[tuple[int, str, bytes]]:
-    """(time [ns], topic, protobuf bytes) of what there is to see, frame by frame; nothing without a scene."""
+    """(time [ns], topic, protobuf bytes) of what there is to see, frame by frame; nothing without a scene.
+
+    `camera_poses` are those of `hoi.record.camera.poses`.
+    """
     if run.scene is None:
         return
     motion, trajectory, search = run.state.motion, run.state.trajectory, run.state.contact
@@ -67,6 +71,8 @@ def views(
             yield time, "/object/com", _bytes(PoseInFrame(timestamp=timestamp(time), frame_id=WORLD, pose=com))
             points = trajectory.positions[frame, : len(cloud) : object_stride]
             yield time, "/object/points", _points(time, points, object_colours)
+        if camera_poses is not None and frame < len(camera_poses[0]):
+            transforms.append(_frame(CAMERA, *(values[frame] for values in camera_poses)))
         if search is not None:
             # In every frame from the contact on, since a viewer that seeks sees the last message alone.
             seen = [contact for contact in search.contacts if contact.frame <= frame]

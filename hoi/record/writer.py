@@ -14,6 +14,8 @@ from mcap.writer import Writer
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run
 from hoi.errors import InputError, RunError
+from hoi.record.camera import Footage, poses
+from hoi.record.camera import messages as camera_messages
 from hoi.record.parts import history_to_csv, scene_files, to_json
 from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, ObjectState, array_fields, channels
 from hoi.record.views import timestamp, views
@@ -33,6 +35,7 @@ def write(
     *,
     plan_text: str,
     object_stride: int = 1,
+    footage: Footage | None = None,
 ) -> None:
     """Write the whole run to `path`: under `path` + ".part" first, renamed when it is complete.
 
@@ -43,17 +46,20 @@ def write(
         human_colours: their colours in [0, 1], shape (M, 3).
         plan_text: the plan as it was printed.
         object_stride: every which of the object's Gaussians to show in `/object/points`; `/object/state` has them all.
+        footage: the video of the run, a picture a frame.
 
     Raises:
         InputError: the path cannot be written to.
         RunError: the disk is full or broken.
-        ValueError: a state without a scene, or points without colours.
+        ValueError: a state without a scene, points without colours, or a video that is not as long as the run.
     """
     state = run.state
     if run.scene is None and any(part is not None for part in (state.motion, state.trajectory, state.contact)):
         raise ValueError("a run without a scene can have no state")
     if (human_points is None) != (human_colours is None):
         raise ValueError("human_points and human_colours go together")
+    if footage is not None and len(footage) != _frames(run):
+        raise ValueError(f"a video of {len(footage)} pictures for a run of {_frames(run)} frames")
     with _whole_file(path) as file:
         writer = Writer(file)
         writer.start(library="hoi")
@@ -68,7 +74,7 @@ def write(
             before |= scene_files(run.scene)
         _attach(writer, before)
         channel = channels(writer)
-        for time, topic, data in _messages(run, human_points, human_colours, object_stride):
+        for time, topic, data in _messages(run, human_points, human_colours, object_stride, footage):
             writer.add_message(channel(topic), time, data, publish_time=time)
         _attach(writer, {"state.json": to_json(_facts(run)), "reports.json": to_json(run.reports)})
         _attach(writer, {"history.csv": history_to_csv(run.history)})
@@ -123,18 +129,19 @@ def _facts(run: Run) -> dict:
     }
 
 
-def _messages(run: Run, points: Array | None, colours: Array | None, object_stride: int) -> Iterator[Message]:
+def _messages(
+    run: Run, points: Array | None, colours: Array | None, object_stride: int, footage: Footage | None
+) -> Iterator[Message]:
     """All messages in the order of their times; each stream is in order already."""
     if run.scene is None:
         return iter(())
     state, fps = run.state, run.scene.fps
-    counts = [
-        0 if state.motion is None else len(state.motion),
-        0 if state.trajectory is None else len(state.trajectory.positions),
-        0 if points is None else len(points),
-    ]
-    times = [_nanoseconds(frame, fps) for frame in range(max(counts))]
-    streams = [views(run, times, points, colours, object_stride)]
+    frames = max(_frames(run), 0 if points is None else len(points))
+    times = [_nanoseconds(frame, fps) for frame in range(frames)]
+    camera_poses = None if footage is None else poses(footage.cameras)
+    streams = [views(run, times, points, colours, object_stride, camera_poses)]
+    if footage is not None:
+        streams.append(camera_messages(footage, times))
     if state.motion is not None:
         streams.append(_motion(state.motion, times))
     if state.trajectory is not None:
@@ -142,6 +149,12 @@ def _messages(run: Run, points: Array | None, colours: Array | None, object_stri
     if state.contact is not None:
         streams.append(_contacts(state.contact.contacts, fps))
     return heapq.merge(*streams, key=lambda message: message[0])
+
+
+def _frames(run: Run) -> int:
+    """Frames of what moves."""
+    motion, trajectory = run.state.motion, run.state.trajectory
+    return max(0 if motion is None else len(motion), 0 if trajectory is None else len(trajectory.positions))
 
 
 def _nanoseconds(frame: float, fps: float) -> int:

@@ -1,5 +1,6 @@
 """What a camera has to show: the outlines of the person and the object over time, and where the middle of it moves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +32,16 @@ class Action:
     """The object [m], (T, m, 3)."""
     fps: float
 
-    def points(self) -> Array:
-        """What a standing camera has to show [m], (N, 3): the person, the object while it is near where the person
-        ever is, and their shadows straight below."""
-        frames = self._steady()
-        person = self.person[frames].reshape(-1, 3)
-        return _with_shadows(person, *self.thing[frames][self._near(frames, person[None])])
+    def points(self, frames: Sequence[int] | None = None) -> Array:
+        """What a standing camera has to show in all frames, or in some [m], (N, 3): the person, the object while it is
+        near where the person ever is, and their shadows straight below."""
+        chosen = np.arange(len(self.person)) if frames is None else np.asarray(frames)
+        steady = self._steady()[chosen]
+        chosen = chosen[steady] if steady.any() else chosen
+        person = self.person[chosen].reshape(-1, 3)
+        near = _near(self.thing[chosen], person[None])
+        points = np.concatenate([person, self.thing[chosen][near].reshape(-1, 3)])
+        return np.concatenate([points, points * (1, 1, 0)])
 
     def path(self) -> Array:
         """The middle of the action in each frame [m], (T, 3), smoothed: what a following camera keeps still.
@@ -57,13 +62,13 @@ class Action:
     def points_around_path(self) -> Array:
         """What a camera that moves along `path` has to show, seen from there [m], (N, 3): the person, the object
         while it is near the person, and their shadows."""
-        path, frames = self.path(), self._steady()
-        near = self._near(frames, self.person[frames])
-        seen = [
-            _with_shadows(self.person[frame], *self.thing[frame][None][: int(shown)]) - path[frame]
-            for frame, shown in zip(np.flatnonzero(frames), near, strict=True)
-        ]
-        return np.concatenate(seen)
+        steady, path = self._steady(), self.path()
+        around = path[steady, None]
+        person, thing = self.person[steady], self.thing[steady]
+        near = _near(thing, person)
+        parts = ((person, around), (thing[near], around[near]))
+        seen = [shown - middle for part, middle in parts for shown in (part, part * (1, 1, 0))]
+        return np.concatenate([points.reshape(-1, 3) for points in seen])
 
     def _middle(self) -> Array:
         """Not smoothed, (T, 3)."""
@@ -80,18 +85,13 @@ class Action:
         steady = np.linalg.norm(middle - median_filter(middle, (5, 1), mode="mirror"), axis=1) < OUTLYING
         return steady if steady.any() else ~steady  # a motion that is all jumps is framed whole
 
-    def _near(self, frames: NDArray[np.bool_], person: Array) -> NDArray[np.bool_]:
-        """In which of `frames` the object is within `REACH` of the box around the person (1 or F, n, 3), or as near as
-        it ever comes; (F,)."""
-        things = self.thing[frames]
-        if not things.shape[1] or not person.shape[1]:
-            return np.full(len(things), bool(things.shape[1]))
-        centres = things.mean(1)
-        outside = np.maximum(0, np.maximum(person.min(1) - centres, centres - person.max(1)))
-        gaps = np.linalg.norm(outside, axis=1)
-        return gaps <= max(REACH, gaps.min())
 
-
-def _with_shadows(*clouds: Array) -> Array:
-    points = np.concatenate(clouds)
-    return np.concatenate([points, points * (1, 1, 0)])
+def _near(thing: Array, person: Array) -> NDArray[np.bool_]:
+    """In which frames the object (T, m, 3) is within `REACH` of the box around the person (T or 1, n, 3), or as near as
+    it ever comes; (T,). An object alone is always near."""
+    if not thing.shape[1] or not person.shape[1]:
+        return np.ones(len(thing), bool)
+    centres = thing.mean(1)
+    outside = np.maximum(0, np.maximum(person.min(1) - centres, centres - person.max(1)))
+    gaps = np.linalg.norm(outside, axis=1)
+    return gaps <= max(REACH, gaps.min())

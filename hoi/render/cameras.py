@@ -131,7 +131,8 @@ def frame_action(
 ) -> Camera:
     """The nearest camera that looks against `direction` and has all points in its picture, `margin` off its borders.
 
-    Exact: the points touch two opposite margins, and the gaps to the other two are equal.
+    Exact: the points touch two opposite margins, and the camera stands midway between where they would touch either of
+    the other two.
 
     Args:
         points: (N, 3) [m], N > 0.

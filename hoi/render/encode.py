@@ -1,7 +1,7 @@
 """Pictures -> H.264 -> MP4, and PNG. The only module that knows PyAV; files are written whole or not at all.
 
-One encoding serves twice: its access units go into a record as they are (Annex B, a picture each, no B-frames, parameter
-sets with every key frame, as `foxglove.CompressedVideo` wants them) and into an MP4 without being encoded again.
+One encoding serves twice: its access units go into a record as they are (Annex B, a picture each, no B-frames, parameter sets
+with every key frame, as `foxglove.CompressedVideo` wants them) and into an MP4 without being encoded again.
 """
 
 import io
@@ -118,7 +118,7 @@ def write_mp4(video: Video, path: Path) -> None:
         RunError: the disk is full or broken.
     """
     stream = io.BytesIO(b"".join(video.units))
-    with whole_file(path) as part, av.open(stream, format="h264") as source:
+    with whole_file(path) as part, av.open(stream, "r", format="h264") as source:
         with av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as target:
             track = target.add_stream_from_template(source.streams.video[0])
             track.time_base = 1 / video.fps

@@ -30,7 +30,7 @@ def rasterise_gsplat(
     Raises:
         InputError: there is no CUDA device, or no gsplat with kernels for it.
     """
-    rasterization = _rasterization()
+    rasterization = load_gsplat()
 
     def on_gpu(values: Any) -> Tensor:
         return torch.as_tensor(values).to("cuda", torch.float32)
@@ -65,7 +65,7 @@ def rasterise_gsplat(
 
 
 @cache
-def _rasterization() -> Callable[..., tuple[Tensor, Tensor, dict]]:
+def load_gsplat() -> Callable[..., tuple[Tensor, Tensor, dict]]:
     """gsplat's function of that name, with its kernels loaded or, the first time, compiled (minutes)."""
     remedy = "use taichi, or reference for small pictures"
     if not torch.cuda.is_available():

@@ -24,9 +24,9 @@ OUTLINE_DIRECTIONS = 32
 OUTLINE_FRAMES = 8
 """The frames, evenly spread, in which the object's outline is looked for."""
 FAINTEST = 0.05
-"""Opacity below which a Gaussian belongs to no outline."""
-NEWTON_STEPS, NEWTON_TOLERANCE = 8, 1e-4
-"""Of the polar decomposition; the tolerance is that of R R^T = I."""
+"""Opacity below which a Gaussian belongs to no outline, unless all are as faint."""
+NEWTON_STEPS, NEWTON_TOLERANCE = 8, 1e-3
+"""Of the polar decomposition. What is left after a step is the square of what that step changed."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,18 @@ def polar_rotation(deformation_gradient: Tensor) -> Tensor:
 
     Newton's iteration R <- (R + R^-T) / 2 (Higham 1986); by SVD where F mirrors or is too close to singular for it.
     """
-    rotation = deformation_gradient
+    rows = deformation_gradient.movedim(0, -1).contiguous()  # (3, 3, N): long vectors, not small matrices
+    settled = torch.zeros(len(deformation_gradient), dtype=torch.bool, device=rows.device)
     for _ in range(NEWTON_STEPS):
-        rotation = 0.5 * (rotation + torch.linalg.inv_ex(rotation).inverse.mT)
-        off = (rotation @ rotation.mT - torch.eye(3, device=rotation.device)).abs().amax((1, 2))
-        if off.max() < NEWTON_TOLERANCE:
+        cofactors = torch.stack([torch.linalg.cross(rows[i - 2], rows[i - 1], dim=0) for i in range(3)])
+        determinant = (rows[0] * cofactors[0]).sum(0)
+        before, rows = rows, 0.5 * (rows + cofactors / determinant)
+        settled = ((rows - before).abs().amax((0, 1)) < NEWTON_TOLERANCE) & (determinant > 0)
+        if settled.all():
             break
-    failed = ~(off < NEWTON_TOLERANCE) | (torch.linalg.det(rotation) < 0)
-    if failed.any():
-        rotation[failed] = torch.as_tensor(roma.special_procrustes(deformation_gradient[failed]))
+    rotation = rows.movedim(-1, 0).contiguous()
+    if not settled.all():
+        rotation[~settled] = torch.as_tensor(roma.special_procrustes(deformation_gradient[~settled]))
     return rotation
 
 
@@ -110,12 +113,13 @@ class _MovingPerson:
             self._posed = dict(zip(wanted.tolist(), poses, strict=True))
         return self._posed[frame]
 
-    def outline(self, frames: NDArray[np.int_]) -> Array:
-        rest = self._body.cloud.means
-        strongest = np.where(self._body.cloud.opacities < FAINTEST, -1, self._body.skinning_weights.argmax(1))
-        limbs = [np.flatnonzero(strongest == joint) for joint in np.unique(strongest[strongest >= 0])]
-        rows = np.concatenate([limb[_outermost(rest[limb])] for limb in limbs])
-        return posed_means(self._body, self._motion, frames=frames, subset=rows).astype(np.float64)
+    def outline(self) -> Array:
+        """The outermost Gaussians of each limb [m], (T, n, 3)."""
+        seen = _visible(self._body.cloud)
+        strongest = self._body.skinning_weights[seen].argmax(1)
+        limbs = [seen[strongest == joint] for joint in np.unique(strongest)]
+        rows = np.concatenate([limb[_outermost(self._body.cloud.means[limb])] for limb in limbs])
+        return posed_means(self._body, self._motion, subset=rows).astype(np.float64)
 
 
 class _MovingObject:
@@ -152,11 +156,12 @@ class _MovingObject:
     def _tensor(self, array: Array) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=self._device)
 
-    def outline(self, frames: NDArray[np.int_]) -> Array:
-        seen = np.flatnonzero(self._cloud.opacities >= FAINTEST)
+    def outline(self) -> Array:
+        """The outermost Gaussians [m], (T, m, 3)."""
+        seen = _visible(self._cloud)
         spread = np.unique(np.linspace(0, self.frames - 1, OUTLINE_FRAMES).round().astype(int))
         rows = np.unique(np.concatenate([seen[_outermost(self._positions[at][seen])] for at in spread]))
-        return self._positions[frames[:, None], rows].astype(np.float64)
+        return self._positions[:, rows].astype(np.float64)
 
 
 class Replay:
@@ -182,11 +187,10 @@ class Replay:
         with torch.no_grad():
             return tuple(part.at(frame) for part in self._parts)
 
-    def action(self, frames: Sequence[int] | None = None) -> Action:
-        """What a camera has to show, in all frames or in some."""
-        chosen = np.arange(self.frames) if frames is None else np.asarray(frames)
-        nothing = np.zeros((len(chosen), 0, 3))
-        person, thing = (nothing if p is None else p.outline(chosen) for p in (self._person, self._thing))
+    def action(self) -> Action:
+        """What a camera has to show."""
+        nothing = np.zeros((self.frames, 0, 3))
+        person, thing = (nothing if part is None else part.outline() for part in (self._person, self._thing))
         return Action(person=person, thing=thing, fps=self.fps)
 
 
@@ -206,6 +210,12 @@ def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
     person = None if motion is None else _MovingPerson(scene.body, motion, device)
     thing = None if trajectory is None else _MovingObject(scene.object.cloud, trajectory, device)
     return Replay(person, thing, run, scene.fps)
+
+
+def _visible(cloud: GaussianCloud) -> NDArray[np.int_]:
+    """Indices of the Gaussians that make an outline; all, where all are faint."""
+    seen = cloud.opacities >= FAINTEST
+    return np.flatnonzero(seen if seen.any() else ~seen)
 
 
 def _outermost(points: Array) -> NDArray[np.int_]:

@@ -108,7 +108,12 @@ def shade(splats: Splats, eye: Tensor, degree: int | None = None) -> Tensor:
 
     Harmonics turn with their Gaussians: the direction is taken back into the frame in which they were fitted, which is
     the same as rotating the coefficients and much cheaper.
+
+    Raises:
+        InputError: a negative degree.
     """
+    if degree is not None and degree < 0:
+        raise InputError(f"sh_degree {degree}: 0 to 3 are allowed")
     degree = sh_degree(splats) if degree is None else min(degree, sh_degree(splats))
     colours = 0.5 + _C0 * splats.sh[:, 0]
     if degree > 0:

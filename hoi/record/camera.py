@@ -1,0 +1,81 @@
+"""The run as a camera saw it: its video, its calibration and its place, as messages and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+
+from hoi.data import Array
+from hoi.record.views import CAMERA, timestamp
+
+if TYPE_CHECKING:
+    from hoi.render.cameras import Camera
+
+FORMAT, NO_DISTORTION = "h264", "plumb_bob"
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What a camera saw of a run."""
+
+    units: tuple[bytes, ...]
+    """H.264 access units in Annex B, a picture each, in the order in which they are shown: joined they are a stream
+    that players take. No B-frames; parameter sets with every key frame."""
+    cameras: tuple[Camera, ...]
+    """Which took each of them."""
+
+    def __post_init__(self) -> None:
+        if len(self.units) != len(self.cameras):
+            raise ValueError(f"{len(self.units)} pictures and {len(self.cameras)} cameras")
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+
+def poses(cameras: Sequence[Camera]) -> tuple[Array, Array]:
+    """Positions [m] (T, 3) and rotations xyzw (T, 4) that take the camera's axes (x right, y down, z forward) to the
+    world's."""
+    from scipy.spatial.transform import Rotation
+
+    turns = np.stack([camera.world_to_camera[:3, :3].T for camera in cameras])
+    return np.stack([camera.position for camera in cameras]), Rotation.from_matrix(turns).as_quat(canonical=True)
+
+
+def messages(footage: Footage, times: Sequence[int]) -> Iterator[tuple[int, str, bytes]]:
+    """(time [ns], topic, protobuf bytes), a picture and its calibration a frame."""
+    for time, unit, camera in zip(times, footage.units, footage.cameras, strict=False):
+        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+        calibration = CameraCalibration(
+            timestamp=timestamp(time),
+            frame_id=CAMERA,
+            width=camera.width,
+            height=camera.height,
+            distortion_model=NO_DISTORTION,
+            D=[0.0] * 5,
+            K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+            R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+            P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
+        )
+        yield time, "/camera/calibration", calibration.SerializeToString(deterministic=True)
+        picture = CompressedVideo(timestamp=timestamp(time), frame_id=CAMERA, data=unit, format=FORMAT)
+        yield time, "/camera/video", picture.SerializeToString(deterministic=True)
+
+
+def camera_of(calibration: CameraCalibration, place: FrameTransform) -> Camera:
+    """The camera of a message of `/camera/calibration` and its frame in `/tf`, exact but for the last digits."""
+    from scipy.spatial.transform import Rotation
+
+    from hoi.render.cameras import Camera
+
+    q, t, intrinsics = place.rotation, place.translation, list(calibration.K)
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
+    pose[:3, 3] = -pose[:3, :3] @ [t.x, t.y, t.z]
+    fx, _, cx, _, fy, cy = intrinsics[:6]
+    return Camera(calibration.width, calibration.height, fx, fy, cx, cy, pose)
