@@ -1,7 +1,7 @@
 """Pictures -> H.264 -> MP4, and PNG. The only module that knows PyAV; files are written whole or not at all.
 
-One encoding serves twice: its access units go into a record as they are (Annex B, a picture each, no B-frames, parameter sets
-with every key frame, as `foxglove.CompressedVideo` wants them) and into an MP4 without being encoded again.
+One encoding serves twice: its access units go into records as they are (Annex B, a picture each, no B-frames, parameter
+sets with every key frame, as `foxglove.CompressedVideo` wants them) and into an MP4 without being encoded again.
 """
 
 import io

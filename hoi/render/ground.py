@@ -17,9 +17,9 @@ from hoi.data import Array
 from hoi.render.cameras import Camera, project
 from hoi.render.splats import Splats
 
-FLOOR, HORIZON, ZENITH = (0.913, 0.911, 0.906), (0.963, 0.962, 0.960), (0.990, 0.991, 0.992)
-"""Colours as they are shown; the floor fades into the horizon, the horizon into the sky above."""
-LINE = (0.842, 0.842, 0.842)
+FLOOR, LINE, HORIZON, ZENITH = 0.909, 0.842, 0.961, 0.99
+"""Greys as they are shown: the floor fades into the horizon, the horizon into the sky above. A hint of a colour would
+become a cast in a video, whose chroma is rounded to 8 bits."""
 LINE_WIDTH = 0.016
 """Of the lines of the grid, which lie at whole metres [m]."""
 FADE = (math.radians(0.3), math.radians(7.0))
@@ -33,6 +33,7 @@ _EDGES = (0.012, 0.03, 0.065, 0.14, 0.3)
 _FINE = 2.5  # cells of a shadow's map in a standard deviation
 _GRAZING = 1e-4  # rays that are more level than this do not reach the floor
 _CELLS = 1_000_000  # in one map at most, where a part is spread out very far
+_FAR, _WIDE = 500.0, 0.3  # what is further away casts nothing, and no footprint is taken for wider [m]
 _CASTERS = 6000
 """From twice as many Gaussians on only every second, third, ... casts a shadow, for itself and those left out."""
 
@@ -67,32 +68,31 @@ class Backdrop:
     def __init__(self, camera: Camera, *, floor: bool = True, device: torch.device | str = "cpu") -> None:
         """Without a `floor` at z = 0 there is sky all around, and nothing that a shadow could fall on."""
         rays = _rays(camera, device)
-        bare = _sky(rays)
+        grey = _sky(rays)
         if floor:
-            colours, share, places = _floor(camera, rays)
-            bare = _mix(bare, colours, share)
+            colour, share, places = _floor(camera, rays)
+            grey = _mix(grey, colour, share)
             self._places = places.permute(1, 2, 0).contiguous()
-            self._loss = (DARKNESS * share * bare).permute(1, 2, 0).contiguous()  # what the darkest shadow takes away
-        self.bare = bare.permute(1, 2, 0).contiguous()
-        """Without shadows, (height, width, 3)."""
+            self._loss = DARKNESS * share * grey  # what the darkest shadow takes away
+        self.grey = grey
+        """Without shadows, (height, width)."""
         self._camera, self._floor = camera, floor
 
     def __call__(self, shadows: Sequence[Shadow]) -> Tensor:
         """The background with these shadows, (height, width, 3) in [0, 1]."""
-        if not self._floor:
-            return self.bare
-        picture, cover = self.bare.clone(), self.bare.new_zeros(self.bare.shape[:2])
-        windows = [self._window(shadow) for shadow in shadows]
-        for shadow, window in zip(shadows, windows, strict=True):
-            cover[window] += shadow.look_up(self._places[window])
-        if windows:
+        grey = self.grey
+        if self._floor and shadows:
+            grey, cover = grey.clone(), torch.zeros_like(grey)
+            windows = [self._window(shadow) for shadow in shadows]
+            for shadow, window in zip(shadows, windows, strict=True):
+                cover[window] += shadow.look_up(self._places[window])
             around = tuple(
                 slice(min(side.start for side in sides), max(side.stop for side in sides))
                 for sides in zip(*windows, strict=True)
             )
             # Several layers of one body above each other are hardly darker than one.
-            picture[around] += self._loss[around] * torch.expm1(-1.8 * cover[around])[..., None]
-        return picture
+            grey[around] += self._loss[around] * torch.expm1(-1.8 * cover[around])
+        return grey[..., None].repeat(1, 1, 3)
 
     def _window(self, shadow: Shadow) -> tuple[slice, slice]:
         """The part of the picture in which the shadow's map lies."""
@@ -116,7 +116,8 @@ def cast(splats: Splats) -> tuple[Shadow, ...]:
     xx, xy, yy = (step * sigma[:, row, column] for row, column in ((0, 0), (0, 1), (1, 1)))
     area = 2 * math.pi * (xx * yy - xy * xy).clamp_min(0).sqrt()
     table = torch.stack([*means.unbind(1), opacities * area, (xx + yy) / 2], 1)
-    rows = torch.nonzero((means[:, 2] > 0) & (opacities > 0.02) & table.sum(1).isfinite())[:, 0]
+    near = (means[:, :2].abs() < _FAR).all(1)
+    rows = torch.nonzero((means[:, 2] > 0) & (opacities > 0.02) & near & table.sum(1).isfinite())[:, 0]
     if len(rows) == 0:
         return ()
     table = table if len(rows) == len(table) else table[rows]
@@ -142,7 +143,7 @@ def _shadow(places: Tensor, mass: Tensor, spread: Tensor, share: Tensor, edge: f
         share: how much of each Gaussian belongs to this shadow and not to the next softer or sharper one.
         edge: standard deviation of its edge [m].
     """
-    foot = math.sqrt(float(spread.mean()))
+    foot = math.sqrt(float(spread.clamp(0, _WIDE**2).mean()))
     total = math.hypot(foot, edge)
     low, high = (places.amin(0) - 3 * total).tolist(), (places.amax(0) + 3 * total).tolist()
     width, height = high[0] - low[0], high[1] - low[1]
@@ -177,18 +178,18 @@ def _rays(camera: Camera, device: torch.device | str) -> Tensor:
 
 
 def _sky(rays: Tensor) -> Tensor:
-    """Lighter upwards, (3, height, width)."""
-    return _mix(_colour(HORIZON, rays), _colour(ZENITH, rays), _smooth_step(rays[2], 0.0, 0.5))
+    """Its grey, lighter upwards, (height, width)."""
+    return _mix(HORIZON, ZENITH, _smooth_step(rays[2], 0.0, 0.5))
 
 
 def _floor(camera: Camera, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Its colours (3, height, width), how much of it is in a pixel's, and where on it the pixels lie [m], (2, ...)."""
+    """Its grey and its share of each pixel, (height, width), and where the pixels lie on it [m], (2, height, width)."""
     eye = torch.as_tensor(camera.position, dtype=torch.float32, device=rays.device)
     towards = -rays[2] * (1.0 if eye[2] >= 0 else -1.0)
     distance = abs(eye[2]) / towards.clamp_min(_GRAZING)
     places = eye[:2, None, None] + distance * rays[:2]
     share = _smooth_step(towards, math.sin(FADE[0]), math.sin(FADE[1]))
-    return _mix(_colour(FLOOR, rays), _colour(LINE, rays), _grid(camera, rays, distance, places)), share, places
+    return _mix(FLOOR, LINE, _grid(camera, rays, distance, places)), share, places
 
 
 def _grid(camera: Camera, rays: Tensor, distance: Tensor, places: Tensor) -> Tensor:
@@ -216,11 +217,7 @@ def _line_length(x: Tensor) -> Tensor:
     return whole * LINE_WIDTH + (x - whole).clamp(-LINE_WIDTH / 2, LINE_WIDTH / 2)
 
 
-def _colour(rgb: tuple[float, float, float], like: Tensor) -> Tensor:
-    return like.new_tensor(rgb)[:, None, None]
-
-
-def _mix(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
+def _mix(a: float | Tensor, b: float | Tensor, share: Tensor) -> Tensor:
     return a + (b - a) * share
 
 

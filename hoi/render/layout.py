@@ -46,7 +46,7 @@ def write_on(picture: Pixels, words: str, *, bottom: bool = False) -> Pixels:
     if not words:
         return picture
     height, width, _ = picture.shape
-    size = max(10, round(height / 21))
+    size = max(13, round(height / 21))
     while size > 6 and _font(size).getlength(words) > width - 1.4 * size:
         size -= 1
     margin = 0.7 * size

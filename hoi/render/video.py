@@ -1,6 +1,6 @@
 """Videos, filmstrips and cameras of finished runs, from their records alone.
 
-    python -m hoi.render.video RUN.mcap [RUN2.mcap ...] [--view side] [-o out.mp4] [--png strip.png] [--cameras out.json]
+    python -m hoi.render.video RUN.mcap [RUN2.mcap ...] [--view side] [-o out.mp4] [--png strip.png] [--size 720x480]
 
 One record gives a video; several give theirs side by side in one clock. Exit codes: 0 done; 2 bad input; 3 the disk is
 full or broken; 130 interrupted.
@@ -8,204 +8,18 @@ full or broken; 130 interrupted.
 
 import argparse
 import math
+import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import NoReturn
 
-import numpy as np
-import torch
-
-from hoi import record
-from hoi.data import Array, Run
+from hoi.config import RenderBackend
 from hoi.errors import InputError, RunError
-from hoi.progress import Stages
-from hoi.render.cameras import HEIGHT, TOP_UP, VIEWS, WIDTH, Camera, circle, frame_action, to_json
-from hoi.render.cameras import view as view_of
-from hoi.render.encode import check_fps, check_size, encode, whole_file, write_mp4, write_png
-from hoi.render.film import choose_frames, film
-from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
-from hoi.render.rasterise import Backend
-from hoi.render.replay import Replay, replay
+from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
+from hoi.run import end_when_interrupted, leave_interrupted
 
 CHOICES = (*VIEWS, "turntable", "all")
-TURN = 100
-"""Viewpoints around a moment that is frozen: the paper's."""
-STRIP_PICTURES, STRIP_HEIGHT = 8, 240
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One of the pictures that are seen side by side."""
-
-    replay: Replay
-    frames: Sequence[int]
-    """Which frame of the run each picture shows."""
-    cameras: Sequence[Camera]
-    """One a picture."""
-    label: str
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The moments that a video shows."""
-
-    times: Sequence[float]
-    """[s]"""
-    fps: float
-    """Pictures a second, as it is played."""
-
-    def frames(self, replay: Replay) -> list[int]:
-        """The frame of a run nearest to each time; after its end the last."""
-        return [min(round(time * replay.fps), replay.frames - 1) for time in self.times]
-
-
-def make_clock(replays: Sequence[Replay], frames: slice, speed: float, freeze: int | None) -> Clock:
-    """The clock of the run with most frames a second, until the longest has ended.
-
-    Args:
-        frames: of that clock.
-        speed: 1 is real time.
-        freeze: the frame at which time stands, for one turn.
-
-    Raises:
-        InputError: there is no such frame, or the speed cannot be played.
-    """
-    fps = max(each.fps for each in replays)
-    count = max(math.ceil(each.frames * fps / each.fps - 1e-6) for each in replays)
-    if freeze is not None and not 0 <= freeze < count:
-        raise InputError(f"--freeze {freeze}: frames 0 to {count - 1} are there")
-    shown = list(range(count))[frames] if freeze is None else [freeze] * TURN
-    if not shown:
-        raise InputError(f"--frames: none of the frames 0 to {count - 1} is left")
-    return Clock([frame / fps for frame in shown], float(check_fps(fps * speed)))
-
-
-def make_panels(
-    replays: Sequence[Replay], labels: Sequence[str], view: str, size: tuple[int, int], clock: Clock
-) -> list[Panel]:
-    """A panel for each run, or with view "all" one for each view of each run.
-
-    Runs side by side are seen from the same place, unless the camera follows what happens in each.
-    """
-    names = list(VIEWS) if view == "all" else [view]
-    points = np.concatenate([each.action().points() for each in replays])
-    panels = []
-    for shown, label in zip(replays, labels, strict=True):
-        frames = clock.frames(shown)
-        for name in names:
-            words = [label] * (len(replays) > 1) + [name.replace("_", " ")] * (len(names) > 1)
-            panels.append(Panel(shown, frames, _cameras(name, shown, frames, points, size), "  ·  ".join(words)))
-    return panels
-
-
-def _cameras(name: str, shown: Replay, frames: Sequence[int], points: Array, size: tuple[int, int]) -> Sequence[Camera]:
-    width, height = size
-    if name == "turntable":
-        return circle(points, len(frames), width=width, height=height)
-    if name == "follow":
-        following = view_of(name, shown.action(), width=width, height=height)
-        assert isinstance(following, list)
-        return [following[frame] for frame in frames]
-    up = TOP_UP if name == "top" else (0, 0, 1)
-    return [frame_action(points, VIEWS[name], width=width, height=height, up=up)] * len(frames)
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """How pictures are drawn; see `hoi.render.film.film`."""
-
-    sh_degree: int | None = None
-    backend: Backend = "taichi"
-    device: str = "cpu"
-
-
-def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pixels]]:
-    """The panels' pictures, time after time."""
-    films = [
-        film(
-            panel.replay,
-            panel.cameras,
-            frames=panel.frames,
-            sh_degree=how.sh_degree,
-            backend=how.backend,
-            device=how.device,
-        )
-        for panel in panels
-    ]
-    for row in zip(*films, strict=True):
-        yield list(row)
-
-
-def make_video(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing = Drawing()) -> None:
-    """Draw the panels side by side and write an MP4.
-
-    Raises:
-        InputError: the path cannot be written to.
-        RunError: the disk is full or broken.
-    """
-
-    def composed() -> Iterator[Pixels]:
-        with Stages().stage("video", len(clock.times)) as stage:
-            for time, row in zip(clock.times, rows_of_pictures(panels, how), strict=True):
-                yield tile(_labelled(row, panels, time) if len(panels) > 1 else row, columns_for(len(panels)))
-                stage.advance()
-
-    write_mp4(encode(composed(), clock.fps), path)
-
-
-def make_strip(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing = Drawing()) -> None:
-    """Write moments side by side as PNG, each panel in a row of its own; see `choose_frames`.
-
-    Raises:
-        InputError: the path cannot be written to.
-        RunError: the disk is full or broken.
-    """
-    search = panels[0].replay.run.state.contact
-    first = None if search is None or not search.contacts else search.push or search.contacts[0]
-    contact = None
-    if first is not None:  # its place among the moments that are shown
-        contact = float(np.argmin(np.abs(np.array(clock.times) - first.frame / panels[0].replay.fps)))
-    chosen = choose_frames(len(clock.times), STRIP_PICTURES, contact)
-    fewer = [
-        replace(panel, frames=[panel.frames[i] for i in chosen], cameras=[panel.cameras[i] for i in chosen])
-        for panel in panels
-    ]
-    columns = [[shrink(picture, STRIP_HEIGHT) for picture in row] for row in rows_of_pictures(fewer, how)]
-    columns[0] = [write_on(picture, panel.label) for picture, panel in zip(columns[0], panels, strict=True)]
-    for index, column in zip(chosen, columns, strict=True):
-        column[0] = write_on(column[0], f"{clock.times[index]:.2f} s", bottom=True)
-    write_png(tile([picture for row in zip(*columns, strict=True) for picture in row], len(columns)), path)
-
-
-def _labelled(row: Sequence[Pixels], panels: Sequence[Panel], time: float) -> list[Pixels]:
-    words = [write_on(picture, panel.label) for picture, panel in zip(row, panels, strict=True)]
-    return [write_on(words[0], f"{time:.2f} s", bottom=True), *words[1:]]
-
-
-def labels_of(runs: Sequence[Run], paths: Sequence[Path]) -> list[str]:
-    """What tells the runs apart: their variants, or, where these are not all different, what differs in the paths."""
-    variants = [run.plan.variant for run in runs]
-    if len(set(variants)) == len(variants):
-        return variants
-    parts = [path.absolute().parts for path in paths]
-    shared = set.intersection(*map(set, parts))
-    return ["/".join(part for part in each if part not in shared) or each[-1] for each in parts]
-
-
-def load(path: Path, device: str) -> Replay:
-    """The run of a record.
-
-    Raises:
-        InputError: as `hoi.record.read`, or it has nothing to show.
-    """
-    run = record.read(path)
-    try:
-        return replay(run, device)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -222,8 +36,13 @@ def _frames(text: str) -> slice:
     return slice(*(int(part) if part else None for part in found.groups()))
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"video: {message}; --help tells what is allowed\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="python -m hoi.render.video",
         description="Videos, filmstrips and cameras of finished runs; several runs are seen side by side.",
         epilog="Without -o, --png and --cameras the video is written beside the first record, as VIEW.mp4.",
@@ -239,7 +58,12 @@ def _parser() -> argparse.ArgumentParser:
     add("--speed", type=float, default=1.0, help="1 is real time, 0.25 slow motion (default: 1)")
     add("--freeze", type=int, metavar="FRAME", help="turntable around this moment")
     add("--sh-degree", type=int, choices=range(4), metavar="0..3", help="of the colours (default: all there is)")
-    add("--backend", choices=get_args(Backend), default="taichi", help="what draws (default: taichi)")
+    add(
+        "--backend",
+        choices=[backend.value for backend in RenderBackend],
+        default="taichi",
+        help="what draws (default: taichi)",
+    )
     add("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
     return parser
 
@@ -248,19 +72,19 @@ def _check(options: argparse.Namespace) -> None:
     """What can be seen to be wrong before anything is read."""
     if options.view not in CHOICES:
         raise InputError(f"--view {options.view}: allowed are {', '.join(CHOICES)}")
-    check_size(*options.size)
+    width, height = options.size
+    if width % 2 or height % 2 or not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise InputError(f"--size {width}x{height}: even numbers from 16 to 8192 are allowed")
     if not (math.isfinite(options.speed) and options.speed > 0):
         raise InputError(f"--speed {options.speed:g}: more than 0 is allowed")
     if options.freeze is not None and (options.view != "turntable" or options.frames is not None):
         raise InputError("--freeze goes with --view turntable, without --frames")
-    if options.device == "cuda" and not torch.cuda.is_available():
-        raise InputError("--device cuda: no CUDA device found; cpu is allowed")
     for name, kind in {"out": ".mp4", "png": ".png", "cameras": ".json"}.items():
         path = getattr(options, name)
         if path is not None and path.suffix.lower() != kind:
             raise InputError(f"{'-o' if name == 'out' else '--' + name} {path}: a {kind} file is allowed")
-        if path is not None and not path.absolute().parent.is_dir():
-            raise InputError(f"cannot write {path}: {path.parent} is no folder")
+        if path is not None and not os.access(path.absolute().parent, os.W_OK):
+            raise InputError(f"cannot write {path}: {path.parent} is no folder that can be written to")
 
 
 def execute(options: argparse.Namespace) -> list[Path]:
@@ -271,18 +95,25 @@ def execute(options: argparse.Namespace) -> list[Path]:
         RunError: the disk is full or broken.
     """
     _check(options)
-    replays = [load(path, options.device) for path in options.records]
-    clock = make_clock(replays, options.frames or slice(None), options.speed, options.freeze)
-    labels = labels_of([each.run for each in replays], options.records)
-    panels = make_panels(replays, labels, options.view, options.size, clock)
+    import torch
+
+    from hoi.render import panels as side_by_side
+    from hoi.render.encode import whole_file
+
+    if options.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: no CUDA device found; cpu is allowed")
+    replays = [side_by_side.load(path, options.device) for path in options.records]
+    clock = side_by_side.make_clock(replays, options.frames or slice(None), options.speed, options.freeze)
+    labels = side_by_side.labels_of([each.run for each in replays], options.records)
+    panels = side_by_side.make_panels(replays, labels, options.view, options.size, clock)
     video = options.out
     if not (options.out or options.png or options.cameras):
         video = options.records[0].with_name(f"{options.view}.mp4")
-    how = Drawing(options.sh_degree, options.backend, options.device)
+    how = side_by_side.Drawing(options.sh_degree, options.backend, options.device)
     if video:
-        make_video(panels, clock, video, how)
+        side_by_side.make_video(panels, clock, video, how)
     if options.png:
-        make_strip(panels, clock, options.png, how)
+        side_by_side.make_strip(panels, clock, options.png, how)
     if options.cameras:
         with whole_file(options.cameras) as part:
             part.write_text(to_json(panels[0].cameras))
@@ -302,8 +133,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    end_when_interrupted()
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        print("video: interrupted", file=sys.stderr)
-        sys.exit(130)
+        leave_interrupted()
