@@ -34,6 +34,7 @@ class Ablation(StrEnum):
 class HumanKind(StrEnum):
     builtin = "builtin"
     avatar = "avatar"
+    smpl = "smpl"
 
 
 class ObjectKind(StrEnum):
@@ -65,6 +66,19 @@ class MotionKind(StrEnum):
 class MotionInit(StrEnum):
     sample = "sample"
     stand = "stand"
+    file = "file"
+
+
+class UpAxis(StrEnum):
+    auto = "auto"
+    y = "y"
+    z = "z"
+
+
+class Approach(StrEnum):
+    step = "step"
+    stand = "stand"
+    none = "none"
 
 
 class AttractionKind(StrEnum):
@@ -136,13 +150,17 @@ class HumanConf:
     kind: HumanKind = MISSING
     name: str = MISSING
     person: str | None = None
-    """Which of the people in the package, for kind=builtin."""
+    """Which of the people in the package, for kind=builtin; whose clothes to wear, for kind=smpl."""
     path: str | None = None
-    """Canonical 3DGS PLY, for kind=avatar."""
+    """Avatar folder or canonical 3DGS PLY, for kind=avatar; SMPL's .npz or .pkl, for kind=smpl."""
     skinning: str | None = None
-    """Skinning .npz beside it; skinning.npz in the PLY's folder when null."""
+    """Skinning .npz of an avatar; skinning.npz in the PLY's folder when null."""
     gaussians: int = MISSING
-    """Gaussians sampled on a built-in person's skin."""
+    """Gaussians sampled on a built-in person's or an SMPL body's skin."""
+    betas: list[float] = field(default_factory=list)
+    """Shape parameters of an SMPL body; those left out are 0."""
+    pose_correctives: bool = True
+    """Whether an SMPL body keeps its pose blend shapes."""
 
 
 @dataclass
@@ -224,9 +242,17 @@ class HMSDConf(MotionConf):
     checkpoint: str | None = None
     """The motion prior: null for the one in the package, or a file or folder."""
     init: MotionInit = MISSING
-    """Start from a sample of the prior, or from the standing pose."""
+    """Start from a sample of the prior, from the standing pose, or from a motion file."""
+    path: str | None = None
+    """The motion file (.npz, .bvh), for init=file."""
+    start_time: float = 0.0
+    """Where in the file the motion begins [s]."""
+    up: UpAxis = UpAxis.auto
+    """The file's up axis; auto tells it from the person's."""
     sample_guidance: float = MISSING
     """Guidance scale of that sample."""
+    sample_steps: int | None = MISSING
+    """Steps of DDIM for that sample; null samples ancestrally through all timesteps."""
     iterations: int = MISSING
     """N_init."""
     learning_rate: float = MISSING
@@ -246,7 +272,11 @@ class CoordinateConf:
     iterations: int = MISSING
     """N_sync."""
     learning_rate: float = MISSING
+    decay: float = MISSING
+    """Share of the iterations, the last ones, over which the learning rate falls to 0."""
     lambda_hmsd: float = MISSING
+    lambda_feet: float = MISSING
+    """Of the feet that the free motion plants."""
 
 
 @dataclass
@@ -259,6 +289,8 @@ class WindowedConf(AttractionConf):
     """The windowed attraction loss."""
 
     lambda_attr: float = MISSING
+    growth: float = MISSING
+    """Of lambda_attr, each iteration in which the joint is not yet where it should be at t*."""
     sigma: float = MISSING
     """Standard deviation of the window [frames]."""
     half_width: int = MISSING
@@ -409,6 +441,10 @@ class SceneConf:
     planes: list[PlaneConf] | None = None
     """Walls beside the ground."""
     placement: PlacementConf = field(default_factory=PlacementConf)
+    approach: Approach = Approach.step
+    """The person is placed and turned such that the strike ends at the object, and steps in (step) or stays where they
+    are (stand); none: they start at the origin facing +Y, wherever the object is. It is a part of the attraction:
+    without one, or without a motion prior, the person starts there too."""
     striking_limb: str | None = None
     """The limb that j* is chosen from; null takes all joints, as the paper does."""
     expected_limb: str = MISSING

@@ -1,8 +1,8 @@
 """The frozen types that flow from stage to stage. NumPy only, so that reading a record needs no torch.
 
 Conventions, everywhere: SI units, Z up, right-handed, ground at z = 0, radians. Quaternions are wxyz and unit.
-The person starts at the origin facing +Y. `frame` is an index at the scene's frame rate (fractional between frames),
-`time` is in seconds, `step` an MPM substep, `iteration` an optimiser iteration.
+A person who stands is at the origin and faces +Y. `frame` is an index at the scene's frame rate (fractional between
+frames), `time` is in seconds, `step` an MPM substep, `iteration` an optimiser iteration.
 """
 
 import math
@@ -49,6 +49,9 @@ class Body:
     """T-pose joint positions [m], shape (24, 3)."""
     source: str = ""
     """Where it comes from and under which licence."""
+    pose_directions: Array | None = None
+    """Pose blend shapes: what each entry of R_j - I (joints 1..23, row-major) adds to the T-pose centres [m], shape
+    (N, 3, 207); None where posing is skinning alone."""
 
 
 @dataclass(frozen=True)

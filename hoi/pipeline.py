@@ -4,7 +4,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.collision import limb_collider
 from hoi.config import (
+    Approach,
     Config,
     ContactModel,
     Device,
@@ -27,11 +28,11 @@ from hoi.config import (
     VideoConf,
 )
 from hoi.contact import find_contact
-from hoi.coordination import coordinate, find_target
-from hoi.data import Array, Plan, Run, Scene, State
+from hoi.coordination import REACHED, coordinate, find_target
+from hoi.data import Array, Plan, Run, Scene, StageReport, State
 from hoi.errors import InputError, RunError
 from hoi.gaussians import colours
-from hoi.plan import format_plan
+from hoi.plan import format_plan, uses_prior
 from hoi.progress import Stage, Stages
 from hoi.record import Footage, write
 from hoi.scene import build_scene
@@ -56,7 +57,9 @@ def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages
         from hoi.motion.synthesis import load_distillation, synthesise
 
         with stages.stage("motion", config.stage.motion.iterations) as stage:
-            distillation = load_distillation(scene, config.stage.motion, device)
+            if uses_prior(config):
+                stand = config.scene.approach is Approach.stand
+                distillation = load_distillation(scene, config.stage.motion, device, stand)
             motion = synthesise(scene, distillation, config.stage.motion, config.seed, device, stage)
         yield (state := replace(state, motion=motion))
 
@@ -123,7 +126,7 @@ def run(config: Config, plan: Plan, path: Path, config_yaml: str, provenance: di
         failure = error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
     result = {
         "status": "failed" if failure else "done",
-        "outcome": str(failure) if failure else outcome(config, finished.state),
+        "outcome": str(failure) if failure else outcome(config, finished.state, stages.reports),
         "variant": plan.variant,
         "device": device,
         "seconds": repr(time.perf_counter() - started),
@@ -189,8 +192,17 @@ def check_renderer(conf: RenderConf) -> None:
             raise InputError(f"render.{error}") from None
 
 
-def outcome(config: Config, state: State) -> str:
+def outcome(config: Config, state: State, reports: Sequence[StageReport]) -> str:
     """What happened, in one sentence."""
+    gap = next((r.numbers["reach_gap"] for r in reports if "reach_gap" in r.numbers), 0.0)
+    if gap <= REACHED or state.target is None:
+        return struck(config, state)
+    joint, frame = JOINT_NAMES[state.target.joint], state.target.frame
+    return f"{struck(config, state)}; {joint} could not reach the object: {gap:.3f} m short at frame {frame}"
+
+
+def struck(config: Config, state: State) -> str:
+    """What touched the object, and what came of it."""
     search = state.contact
     if search is None:
         return "no contact looked for"

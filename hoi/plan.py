@@ -9,12 +9,14 @@ from pathlib import Path
 
 from hoi.config import (
     Ablation,
+    Approach,
     AttractionKind,
     Config,
     ContactModel,
     HMSDConf,
     ImpulseConf,
     MaterialConf,
+    MotionInit,
     MPMConf,
     RefineKind,
     RenderBackend,
@@ -29,10 +31,18 @@ PARTS = {
     "no_attraction": "attraction",
     "no_contact": "contact",
     "no_mdm": "motion prior",
+    "motion_from_file": "motion from the sentence",
     "no_mpm": "MPM",
     "no_video_sds": "Video-SDS",
 }
 """A variant's label -> what it runs without."""
+
+STARTS = {
+    MotionInit.sample: "a sample of the prior",
+    MotionInit.stand: "the standing pose",
+    MotionInit.file: "the file",
+}
+"""What stage 1 starts from."""
 
 NEVER_RIGID = frozenset({"drucker_prager", "fluid", "snow"})
 """Constitutive models of what does not move as one piece."""
@@ -127,23 +137,35 @@ def make_plan(config: Config) -> Plan:
 
     motion = stage.motion
     if isinstance(motion, HMSDConf):
-        _check_checkpoint(motion)
-        start = f"from {'a sample of the prior' if motion.init.value == 'sample' else 'the standing pose'}"
-        steps.append(Step("motion", "hmsd", f"{motion.iterations} iterations, CFG {motion.guidance:g}, {start}"))
+        _check_files(motion)
+        start = STARTS[motion.init]
+        if motion.init is MotionInit.file:
+            without.append("motion_from_file")
+            start = f"{start} {motion.path}"
+        if motion.iterations > 0 or motion.init is MotionInit.sample:
+            detail = f"{motion.iterations} iterations, CFG {motion.guidance:g}, from {start}"
+            steps.append(Step("motion", "hmsd", detail))
+        else:
+            where = "in L_HMSD of stage 2 alone" if uses_prior(config) else "nowhere"
+            steps.append(Step("motion", motion.init.value, f"{start}, as it is; the motion prior is used {where}"))
+        if not uses_prior(config):
+            without.append("no_mdm")
+            because = "neither stage 1 nor stage 2 distils from it"
+            omissions.append(Omission("motion prior", because, "importing it and its text encoder"))
     else:
         without.append("no_mdm")
         because = "stage/motion is none: the pose starts standing, j* and t* come from the scene"
         omissions.append(Omission("motion", because, "importing the motion prior and its text encoder"))
 
     attraction = stage.attraction
-    attracts = isinstance(attraction, WindowedConf) and attraction.lambda_attr > 0
-    distils = isinstance(motion, HMSDConf) and stage.coordinate.lambda_hmsd > 0
     terms = []
-    if distils:
+    if distils_in_stage_2(config):
         terms.append(f"{stage.coordinate.lambda_hmsd:g} L_HMSD")
-    if isinstance(attraction, WindowedConf) and attracts:
+    if isinstance(attraction, WindowedConf) and attracts(config):
         terms.append(f"{attraction.lambda_attr:g} L_attr to the {attraction.target.value}")
-    if not attracts:
+    if distils_in_stage_2(config) and stage.coordinate.lambda_feet > 0:
+        terms.append(f"{stage.coordinate.lambda_feet:g} L_feet")
+    if not attracts(config):
         without.append("no_attraction")
         because = (
             f"stage/attraction is {AttractionKind.none.value}"
@@ -153,6 +175,8 @@ def make_plan(config: Config) -> Plan:
         omissions.append(Omission("attraction", because, "the attraction loss"))
     if terms and stage.coordinate.iterations:
         detail = f"{stage.coordinate.iterations} iterations, {' + '.join(terms)}"
+        if approaches(config):
+            detail += f", the person placed and turned to the object ({config.scene.approach.value})"
         steps.append(Step("coordinate", "adam", detail))
     else:
         omissions.append(Omission("coordinate", "there is nothing to optimise", "stage 2"))
@@ -201,7 +225,34 @@ def make_plan(config: Config) -> Plan:
     return Plan(variant, tuple(steps), tuple(omissions), tuple(checks))
 
 
-def _check_checkpoint(motion: HMSDConf) -> None:
+def distils_in_stage_2(config: Config) -> bool:
+    """Whether L_HMSD is a term of stage 2."""
+    coordinate = config.stage.coordinate
+    return isinstance(config.stage.motion, HMSDConf) and coordinate.lambda_hmsd > 0 and coordinate.iterations > 0
+
+
+def attracts(config: Config) -> bool:
+    """Whether L_attr is a term of stage 2."""
+    attraction = config.stage.attraction
+    return isinstance(attraction, WindowedConf) and attraction.lambda_attr > 0
+
+
+def approaches(config: Config) -> bool:
+    """Whether the object's place decides where the person starts (see `hoi.config.SceneConf.approach`)."""
+    return isinstance(config.stage.motion, HMSDConf) and attracts(config) and config.scene.approach is not Approach.none
+
+
+def uses_prior(config: Config) -> bool:
+    """Whether the motion prior is needed, in stage 1 or in stage 2."""
+    motion = config.stage.motion
+    if not isinstance(motion, HMSDConf):
+        return False
+    return motion.init is MotionInit.sample or motion.iterations > 0 or distils_in_stage_2(config)
+
+
+def _check_files(motion: HMSDConf) -> None:
+    if motion.path is not None and not Path(motion.path).is_file():
+        raise InputError(f"stage.motion.path: no such file: {motion.path}")
     if motion.checkpoint is not None and not Path(motion.checkpoint).exists():
         raise InputError(
             f"stage.motion.checkpoint: no such file or folder: {motion.checkpoint}; "

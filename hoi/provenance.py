@@ -46,11 +46,15 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
     }
     facts.update({f"version.{name}": version(name) for name in PACKAGES})
     motion = config.stage.motion
+    human, skinning = config.human.path, config.human.skinning
+    if human is not None and Path(human).is_dir():  # an avatar's folder
+        human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"
     inputs = {
         "object.path": config.object.path,
-        "human.path": config.human.path,
-        "human.skinning": config.human.skinning,
+        "human.path": human,
+        "human.skinning": skinning,
         "stage.motion.checkpoint": motion.checkpoint if isinstance(motion, HMSDConf) else None,
+        "stage.motion.path": motion.path if isinstance(motion, HMSDConf) else None,
     }
     for name, path in inputs.items():
         if path is not None and Path(path).is_file():

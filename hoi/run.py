@@ -6,11 +6,8 @@ Exit codes: 0 done; 2 bad input; 3 the run itself failed; 130 interrupted.
 """
 
 import os
-import signal
 import sys
-import threading
 from pathlib import Path
-from typing import NoReturn
 
 import hydra
 from hydra.errors import HydraException
@@ -19,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, Config, register
 from hoi.errors import InputError, RunError
+from hoi.interrupt import interruptible
 from hoi.plan import format_plan, make_plan
 from hoi.validate import to_config
 
@@ -86,40 +84,17 @@ def _one_line(error: BaseException) -> str:
     return f"{key}: {text}" if key and key not in text else text
 
 
-GRACE = 3.0
-"""How long an interrupted run has to clean up before it is ended [s]."""
-
-
-def end_when_interrupted() -> None:
-    """From now on Ctrl-C ends the process with 130, also where a library swallows the KeyboardInterrupt.
-
-    Some do while they are imported. A process that was started to ignore the signal goes on ignoring it.
-    """
-
-    def interrupt(*_: object) -> None:
-        watchdog = threading.Timer(GRACE, leave_interrupted)
-        watchdog.daemon = True
-        watchdog.start()
-        raise KeyboardInterrupt
-
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, interrupt)
-
-
-def leave_interrupted() -> NoReturn:
-    """Ends the process at once: at its end Python may raise the signal again, and change the exit code."""
-    print("hoi: interrupted, nothing recorded", file=sys.stderr)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(130)
-
-
 def main() -> None:
     """Entry point of `python -m hoi.run` and of the `hoi` command."""
     if not (3, 11) <= sys.version_info[:2] <= (3, 13):
         sys.exit(f"hoi needs Python 3.11 to 3.13 (what taichi has wheels for), this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
-    end_when_interrupted()
+    with interruptible():
+        sys.exit(_compose_and_execute())
+
+
+def _compose_and_execute() -> int:
+    """All jobs of the command line; the exit code."""
     register()
     code = 0
 
@@ -138,8 +113,6 @@ def main() -> None:
 
     try:
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
-    except KeyboardInterrupt:
-        leave_interrupted()
     except RunError as error:
         print(f"hoi: {error}", file=sys.stderr)
         code = 3
@@ -149,7 +122,7 @@ def main() -> None:
     except OSError as error:
         print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)
         code = 2
-    sys.exit(code)
+    return code
 
 
 if __name__ == "__main__":

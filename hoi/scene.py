@@ -8,9 +8,9 @@ import numpy as np
 
 from hoi.body.skeleton import PARENTS
 from hoi.config import Config, HumanConf, HumanKind, MPMConf, ObjectKind, PlaneContact, SceneConf
-from hoi.data import Array, Body, Plane, Scene, SceneObject
+from hoi.data import Array, Body, Motion, Plane, Scene, SceneObject
 from hoi.errors import InputError
-from hoi.plan import cell_size, materials_of
+from hoi.plan import approaches, cell_size, materials_of
 
 PARTICLES_PER_CELL = 4
 """Particles of the object's interior in a grid cell; its Gaussians come on top near the surface."""
@@ -39,7 +39,8 @@ def build_scene(config: Config) -> Scene:
         planes=tuple(planes.values()),
     )
     check_clear(scene.object, planes)
-    check_apart(scene)
+    if not approaches(config):
+        check_apart(scene)
     return scene
 
 
@@ -48,9 +49,14 @@ def load_body(conf: HumanConf, seed: int) -> Body:
         from hoi.body.people import load_person
 
         return load_person(conf.person or conf.name, conf.gaussians, seed)
+    assert conf.path is not None  # checked by `validate`
+    if conf.kind is HumanKind.smpl:
+        from hoi.body.smpl import load_smpl
+
+        outfit = conf.person or "man"
+        return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
     from hoi.body.avatar import load_avatar
 
-    assert conf.path is not None  # checked by `validate`
     return load_avatar(Path(conf.path), Path(conf.skinning) if conf.skinning else None)
 
 
@@ -114,8 +120,8 @@ def check_clear(thing: SceneObject, planes: Mapping[str, Plane]) -> None:
             raise InputError(f"scene.placement: {thing.name} would start {depth:.3g} m deep in {name}; {remedy}")
 
 
-def check_apart(scene: Scene) -> None:
-    """Refuse an object inside the person, who stands at the origin at t = 0.
+def check_apart(scene: Scene, motion: Motion | None = None) -> None:
+    """Refuse an object inside the person at t = 0, who starts as in `motion` or stands at the origin.
 
     A point is inside where it is nearer to the bones than the skin next to it is.
 
@@ -126,9 +132,9 @@ def check_apart(scene: Scene) -> None:
 
     from hoi.body.skinning import joint_paths, posed_means, stand_motion
 
-    standing = stand_motion(scene.body, 1, scene.fps)
-    skin = posed_means(scene.body, standing)[0]
-    joints = joint_paths(scene.body, standing)[0]
+    start = motion or stand_motion(scene.body, 1, scene.fps)
+    skin = posed_means(scene.body, start, frames=[0])[0]
+    joints = joint_paths(scene.body, start, frames=[0])[0]
     particles = scene.object.particles
     near = np.all((particles >= skin.min(axis=0)) & (particles <= skin.max(axis=0)), axis=1)
     particles = particles[near]

@@ -15,6 +15,7 @@ from hoi.config import (
     HumanKind,
     ImpulseConf,
     MaterialConf,
+    MotionInit,
     MPMConf,
     ObjectKind,
     PlaneContact,
@@ -109,7 +110,17 @@ def validate(config: Config) -> list[str]:
     require(config.human_points >= 100, "human_points", config.human_points, "100 or more")
     require(config.human.gaussians >= 1000, "human.gaussians", config.human.gaussians, "1000 or more")
     if config.human.kind is HumanKind.avatar:
-        require(config.human.path is not None, "human.path", config.human.path, "the path of a 3DGS PLY file")
+        require(
+            config.human.path is not None,
+            "human.path",
+            config.human.path,
+            "the path of an avatar's folder or 3DGS PLY file",
+        )
+    if config.human.kind is HumanKind.smpl:
+        require(config.human.path is not None, "human.path", config.human.path, "the path of an SMPL .npz or .pkl file")
+    shapeless = config.human.kind is not HumanKind.smpl
+    rule = f"empty: human.kind is {config.human.kind.value}"
+    require(not (shapeless and config.human.betas), "human.betas", config.human.betas, rule)
     if config.object.kind is ObjectKind.file:
         require(config.object.path is not None, "object.path", config.object.path, "the path of a 3DGS file")
     require(config.object.size > 0, "object.size", config.object.size, "greater than 0 [m]")
@@ -160,9 +171,17 @@ def validate(config: Config) -> list[str]:
 
     motion = stage.motion
     if isinstance(motion, HMSDConf):
+        rule = "3 or more: the motion prior sees velocities and their changes"
+        require(scene.frames >= 3, "scene.frames", scene.frames, rule)
         require(motion.iterations >= 0, "stage.motion.iterations", motion.iterations, "0 or more")
+        given, named = motion.path is not None, motion.init is MotionInit.file
+        rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: stage.motion.init is {motion.init.value}"
+        require(given == named, "stage.motion.path", "null" if motion.path is None else motion.path, rule)
+        require(motion.start_time >= 0, "stage.motion.start_time", motion.start_time, "0 or more [s]")
         rescale = motion.guidance_rescale
         require(0 <= rescale <= 1, "stage.motion.guidance_rescale", rescale, "in [0, 1]")
+        steps = motion.sample_steps
+        require(steps is None or steps >= 1, "stage.motion.sample_steps", steps, "1 or more, or null")
         require(motion.learning_rate > 0, "stage.motion.learning_rate", motion.learning_rate, "greater than 0")
         require(
             0 <= motion.t_min < motion.t_max,
@@ -174,10 +193,14 @@ def validate(config: Config) -> list[str]:
     require(coordinate.iterations >= 0, "stage.coordinate.iterations", coordinate.iterations, "0 or more")
     rate = coordinate.learning_rate
     require(rate > 0, "stage.coordinate.learning_rate", rate, "greater than 0")
+    decay, feet = coordinate.decay, coordinate.lambda_feet
+    require(0 <= decay <= 1, "stage.coordinate.decay", decay, "in [0, 1]")
+    require(feet >= 0, "stage.coordinate.lambda_feet", feet, "0 or more")
     require(coordinate.lambda_hmsd >= 0, "stage.coordinate.lambda_hmsd", coordinate.lambda_hmsd, "0 or more")
     attraction = stage.attraction
     if isinstance(attraction, WindowedConf):
         require(attraction.lambda_attr >= 0, "stage.attraction.lambda_attr", attraction.lambda_attr, "0 or more")
+        require(attraction.growth >= 1, "stage.attraction.growth", attraction.growth, "1 or more")
         require(attraction.sigma > 0, "stage.attraction.sigma", attraction.sigma, "greater than 0 [frames]")
         width = attraction.half_width
         require(width >= 0, "stage.attraction.half_width", width, "0 or more [frames]")

@@ -19,6 +19,8 @@ GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir(
 EXTRA = {
     "object=from_file": ["object.path=thing.ply", "object.size=0.3"],
     "human=avatar": ["human.path=avatar.ply"],
+    "human=smpl": ["human.path=SMPL_NEUTRAL.npz"],
+    "stage/motion=file": ["stage.motion.path=walk.bvh"],
 }
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
 
@@ -90,7 +92,13 @@ def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
         (["render.sh_degree=4"], "render.sh_degree must be 0, 1, 2 or 3, or null, got 4"),
         (["object=from_file"], "object.size: no value given"),
         (["object=from_file", "object.size=1"], "object.path must be the path of a 3DGS file, got None"),
-        (["human=avatar"], "human.path must be the path of a 3DGS PLY file, got None"),
+        (["stage/motion=file"], "stage.motion.path"),
+        (["stage.motion.init=file"], "stage.motion.path must be the path of a .npz or .bvh file"),
+        (["stage.motion.path=walk.bvh"], "stage.motion.path must be null: stage.motion.init is sample, got walk.bvh"),
+        (["stage.motion.start_time=-1"], "stage.motion.start_time must be 0 or more [s], got -1"),
+        (["human=avatar"], "human.path must be the path of an avatar's folder or 3DGS PLY file, got None"),
+        (["human=smpl"], "human.path must be the path of an SMPL .npz or .pkl file, got None"),
+        (["human.betas=[1]"], "human.betas must be empty: human.kind is builtin, got [1.0]"),
     ],
 )
 def test_bad_values_are_named(composed, overrides, message):

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, guide, posterior, q_sample
+from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, ddim_sample, guide, posterior, q_sample
 
 PUBLISHED = {
     0: 0.99937, 1: 0.99825, 5: 0.98897, 10: 0.96672, 25: 0.83562, 50: 0.47826, 75: 0.13349, 90: 0.01954, 95: 3.88e-3,
@@ -84,3 +84,36 @@ def test_sampling_repeats_with_its_seed():
         return ancestral_sample(lambda x, t: 0.5 * x, (1, 3, 2), cosine_alphas_cumprod(10), generator)
 
     assert torch.equal(draw(1), draw(1)) and not torch.equal(draw(1), draw(2))
+
+
+@pytest.mark.parametrize(("steps", "tolerance"), [(100, 0.03), (20, 0.12)])
+def test_ddim_of_gaussian_data(steps, tolerance):
+    """The deterministic path carries the noise's distribution to that of the data N(0.5, 0.3^2)."""
+    abar, mean, std = cosine_alphas_cumprod(100), 0.5, 0.3
+    gain = abar.sqrt() * std**2 / (abar * std**2 + 1 - abar)
+
+    def predict(x, t):
+        return mean + (gain[t][:, None, None] * (x - abar[t].sqrt()[:, None, None] * mean)).float()
+
+    x = ddim_sample(predict, (400, 10, 5), abar, torch.Generator().manual_seed(0), steps)
+    assert float(x.mean()) == pytest.approx(mean, abs=0.01)
+    assert float(x.std()) == pytest.approx(std, rel=tolerance)
+
+
+def test_ddim_counts_its_steps_and_repeats():
+    calls: list[int] = []
+
+    def predict(x, t):
+        calls.append(int(t[0]))
+        return 0.5 * x
+
+    def draw(steps: int) -> torch.Tensor:
+        return ddim_sample(predict, (1, 3, 2), cosine_alphas_cumprod(10), torch.Generator().manual_seed(1), steps)
+
+    first = draw(4)
+    assert calls == [9, 6, 3, 0]
+    assert torch.equal(first, draw(4))
+    assert torch.isfinite(draw(1)).all()
+    for steps in (0, 11):
+        with pytest.raises(ValueError, match="steps must be in"):
+            draw(steps)

@@ -48,6 +48,26 @@ def test_full_claims_nothing(plan):
     assert plan("ablation=full", "stage/object=constant_velocity").variant == "no_mpm+no_video_sds"
 
 
+def test_own_motion_says_where_the_prior_is_used(plan, tmp_path):
+    """In stage 2 alone, or nowhere, which is w/o MDM; and that the sentence did not make the motion."""
+    file = tmp_path / "walk.bvh"
+    file.touch()
+    own = ["stage/motion=file", f"stage.motion.path={file}"]
+    made = plan(*own)
+    (motion,) = [step for step in made.steps if step.name == "motion"]
+    assert made.variant == "motion_from_file+no_video_sds" and motion.implementation == "file"
+    assert str(file) in motion.reason and motion.reason.endswith("used in L_HMSD of stage 2 alone")
+    for unused in ("stage.coordinate.lambda_hmsd=0", "stage.coordinate.iterations=0"):
+        made = plan(*own, unused)
+        assert made.variant.startswith("no_mdm+motion_from_file") and "motion prior" in omitted(made)
+    assert "no_mdm" in plan(*own, "stage.coordinate.lambda_hmsd=0", "ablation=no_mdm").variant
+    assert "no_mdm" not in plan(*own, "stage.coordinate.lambda_hmsd=0", "stage.motion.iterations=10").variant
+    with pytest.raises(InputError, match=r"ablation=no_mdm contradicts .* runs with the motion prior"):
+        plan(*own, "ablation=no_mdm")
+    with pytest.raises(InputError, match=r"stage\.motion\.path: no such file: nowhere\.npz"):
+        plan("stage/motion=file", "stage.motion.path=nowhere.npz")
+
+
 def test_no_weight_on_attraction_is_no_attraction(plan):
     assert "no_attraction" in plan("stage.attraction.lambda_attr=0").variant
 

@@ -96,7 +96,7 @@ def test_stmc_run_folder_loads_strictly(tmp_path):
 def test_stmc_defaults_and_the_skeleton_warning(tmp_path):
     architecture = Architecture(latent_dim=32, ff_size=48, layers=1, heads=8)
     folder = write_stmc(tmp_path / "run", tensors(architecture))
-    with pytest.warns(UserWarning, match="no SMPL file"):
+    with pytest.warns(UserWarning, match=r"no rest_joints\.npy"):
         prior = load_prior(folder)
     assert prior.denoiser.architecture == architecture and prior.timesteps == 100 and prior.fps == 20.0
     assert float(prior.rest_joints[0, 1] - prior.rest_joints[10, 1]) == pytest.approx(0.92)
@@ -129,8 +129,18 @@ class Untrusted:
         (lambda s: {"input_process.poseEmbedding.weight": torch.zeros(2, 263)}, "input_process.poseEmbedding"),
         (lambda s: {k: v for k, v in s.items() if k != "motion_normalizer.std"}, "motion_normalizer.std"),
         (lambda s: s | {"denoiser.skel_embedding.weight": torch.zeros(32, 263)}, "263 features"),
-        (lambda s: s | {"denoiser.extra.weight": torch.zeros(1)}, "extra.weight"),
-        (lambda s: s | {"denoiser.to_skel_layer.bias": torch.zeros(7)}, "another architecture"),
+        (lambda s: s | {"denoiser.extra.weight": torch.zeros(1)}, r"surplus: denoiser\.extra\.weight$"),
+        (lambda s: s | {f"ema.{k}": v for k, v in s.items()}, r"surplus: ema\.denoiser.* and \d+ more$"),
+        (
+            lambda s: {k: v for k, v in s.items() if "norm1.bias" not in k},
+            r"missing: denoiser\.seqTransEncoder\.layers\.0\.norm1\.bias, denoiser\.\S+1\.norm1\.bias$",
+        ),
+        (
+            lambda s: s | {"denoiser.to_skel_layer.bias": torch.zeros(7)},
+            r"of shape: denoiser\.to_skel_layer\.bias \(7,\), not \(205,\)$",
+        ),
+        (lambda s: s | {"text_normalizer.mean": torch.zeros(768)}, r"text_normalizer\.mean \(768,\), not \(512,\)$"),
+        (lambda s: s | {"denoiser.registers": torch.zeros(3)}, "registers must be a matrix"),
         (lambda s: s | {"object": Untrusted()}, "re-save it once"),
     ],
 )

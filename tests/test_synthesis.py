@@ -19,8 +19,8 @@ def test_sampled_kick_fits_the_person(composed, person):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     distillation = load_distillation(scene, conf, "cpu")
-    motion = sample_motion(scene, distillation, conf.sample_guidance, seed=1)
-    again = sample_motion(scene, distillation, conf.sample_guidance, seed=1)
+    motion = sample_motion(scene, distillation, conf.sample_guidance, conf.sample_steps, seed=1)
+    again = sample_motion(scene, distillation, conf.sample_guidance, conf.sample_steps, seed=1)
     np.testing.assert_array_equal(motion.body_pose, again.body_pose)
     joints = joint_paths(scene.body, motion)
     np.testing.assert_allclose(motion.translation[0, :2], 0, atol=1e-6)
@@ -45,4 +45,4 @@ def test_sample_that_is_not_finite_fails_the_run(composed):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     with pytest.raises(RunError, match="not finite; lower"):
-        sample_motion(scene, load_distillation(scene, conf, "cpu"), guidance=float("inf"), seed=0)
+        sample_motion(scene, load_distillation(scene, conf, "cpu"), guidance=float("inf"), steps=2, seed=0)

@@ -4,7 +4,8 @@ The cloud is in the T-pose, in SMPL's rest frame (y up, facing +z, left at +x), 
 
     weights (N, 24), rest_joints (24, 3) [m], parents (24,), joint_names (24,), up "y", pose "tpose", source, licence
 
-with joints in SMPL's order (`hoi.body.skeleton`). Exporters of any reconstruction method can write it.
+and, if the person has pose blend shapes, pose_directions (N, 3, 207), see `hoi.data.Body`; with joints in SMPL's order
+(`hoi.body.skeleton`). Exporters of any reconstruction method can write it.
 """
 
 import zipfile
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, POSE_FEATURES
 from hoi.data import Body
 from hoi.errors import InputError
 from hoi.gaussians import read_gaussians, write_ply
@@ -30,7 +31,7 @@ def load_avatar(ply_path: Path | str, skinning_path: Path | str | None = None) -
     """A person from a canonical 3DGS PLY and its skinning.
 
     Args:
-        ply_path: the cloud; see `hoi.gaussians.read_gaussians` for what it may be.
+        ply_path: the cloud, see `hoi.gaussians.read_gaussians` for what it may be; or a folder of `save_avatar`.
         skinning_path: the .npz; default `skinning.npz` beside the cloud.
 
     Raises:
@@ -38,6 +39,9 @@ def load_avatar(ply_path: Path | str, skinning_path: Path | str | None = None) -
     """
     ply_path = Path(ply_path)
     folder = ply_path if ply_path.is_dir() else ply_path.parent
+    name = folder.resolve().name if ply_path.name == PLY_NAME or ply_path.is_dir() else ply_path.stem
+    if (ply_path / PLY_NAME).is_file():
+        ply_path = ply_path / PLY_NAME
     skinning_path = folder / SKINNING_NAME if skinning_path is None else Path(skinning_path)
     cloud = read_gaussians(ply_path)
     for key, array in vars(cloud).items():
@@ -66,7 +70,12 @@ def load_avatar(ply_path: Path | str, skinning_path: Path | str | None = None) -
 
     source, licence = (str(_get(skinning_path, skinning, key)) for key in ("source", "licence"))
     weights = (weights / sums[:, None]).astype(np.float32)
-    return Body(ply_path.stem, cloud, weights, rest_joints.astype(np.float32), f"{source}{LICENCE_MARK}{licence}")
+    directions = None
+    if "pose_directions" in skinning:
+        shape = (len(cloud), 3, POSE_FEATURES)
+        directions = _numbers(skinning_path, skinning, "pose_directions", shape).astype(np.float16)
+    licensed = f"{source}{LICENCE_MARK}{licence}"
+    return Body(name, cloud, weights, rest_joints.astype(np.float32), licensed, directions)
 
 
 def save_avatar(body: Body, folder: Path | str) -> None:
@@ -75,6 +84,9 @@ def save_avatar(body: Body, folder: Path | str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     source, mark, licence = body.source.partition(LICENCE_MARK)
     write_ply(body.cloud, folder / PLY_NAME)
+    extra: dict[str, Any] = (
+        {} if body.pose_directions is None else {"pose_directions": body.pose_directions.astype(np.float16)}
+    )
     np.savez_compressed(
         folder / SKINNING_NAME,
         weights=body.skinning_weights.astype(np.float32),
@@ -85,6 +97,7 @@ def save_avatar(body: Body, folder: Path | str) -> None:
         pose="tpose",
         source=source,
         licence=licence if mark else "unknown",
+        **extra,
     )
 
 

@@ -1,10 +1,33 @@
 """Rotations, forward kinematics and linear blend skinning on the SMPL skeleton, differentiable (torch)."""
 
+from itertools import pairwise
+
 import roma
 import torch
 from torch import Tensor
 
 from hoi.body.skeleton import PARENTS
+
+
+def _levels() -> tuple[list[tuple[Tensor, Tensor]], Tensor, Tensor]:
+    """The skeleton by depth, so that a level is one product of matrices instead of one a joint.
+
+    Returns:
+        a level below the root each: its joints, and the places of their parents in the level above; the place of each
+        joint in the levels laid end to end (24,); and which bones, each named by its lower joint 1..23, lead to a joint
+        (24, 23), 0 or 1.
+    """
+    ancestry = torch.eye(len(PARENTS))
+    for joint, parent in enumerate(PARENTS[1:], start=1):
+        ancestry[joint] += ancestry[parent]
+    depth = ancestry.sum(dim=1)
+    levels = [(depth == d).nonzero()[:, 0] for d in range(1, int(depth.max()) + 1)]
+    parents = torch.tensor(PARENTS)
+    below = [(now, torch.searchsorted(above, parents[now])) for above, now in pairwise(levels)]
+    return below, torch.cat(levels).argsort(), ancestry[:, 1:]
+
+
+_LEVELS, _RANK, _ANCESTRY = _levels()
 
 
 def rotation_from_6d(rows: Tensor) -> Tensor:
@@ -34,13 +57,15 @@ def forward_kinematics(local: Tensor, translation: Tensor, rest_joints: Tensor) 
     Returns:
         rotations (..., 24, 3, 3) and positions (..., 24, 3) [m] in the world.
     """
-    rotations = [local[..., 0, :, :]]
-    positions = [translation]
-    for joint, parent in enumerate(PARENTS[1:], start=1):
-        offset = rest_joints[joint] - rest_joints[parent]
-        positions.append(positions[parent] + (rotations[parent] @ offset[:, None])[..., 0])
-        rotations.append(rotations[parent] @ local[..., joint, :, :])
-    return torch.stack(rotations, dim=-3), torch.stack(positions, dim=-2)
+    rotations = [local[..., :1, :, :]]
+    for joints, parents in _LEVELS:
+        above = rotations[-1].index_select(-3, parents.to(local.device))
+        rotations.append(above @ local.index_select(-3, joints.to(local.device)))
+    turned = torch.cat(rotations, dim=-3).index_select(-3, _RANK.to(local.device))
+    parents = torch.tensor(PARENTS[1:], device=local.device)
+    offsets = rest_joints[1:] - rest_joints[parents]
+    bones = (turned.index_select(-3, parents) @ offsets[:, :, None])[..., 0]
+    return turned, translation[..., None, :] + _ANCESTRY.to(bones) @ bones
 
 
 def joint_positions(translation: Tensor, orientation: Tensor, body_pose: Tensor, rest_joints: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from hoi.body.clothing import OUTFITS, find_face, hair, paint
+from hoi.body.clothing import OUTFITS, Face, Outfit, find_face, hair, paint
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array, Body, GaussianCloud
 from hoi.errors import InputError
@@ -63,26 +63,42 @@ def load_person(name: str, gaussians: int = 26000, seed: int = 0) -> Body:
     regions = face_regions[face]
     points = np.einsum("nc,ncd->nd", barycentric, vertices[corners])
     normals = np.einsum("nc,ncd->nd", barycentric, vertex_normals(vertices, faces)[corners])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    hairy = hair(points, regions, face_landmarks, outfit)
-    colours = paint(points, normals, regions, rest_joints, face_landmarks, outfit)
-    colours *= rng.uniform(0.97, 1.03, (gaussians, 1))
-    points[hairy] += outfit.hair_thickness * face_landmarks.scale * normals[hairy]
-    spacing = KDTree(points).query(points, k=1 + NEIGHBOURS)[0][:, 1:].mean(axis=1)
-
+    cloud = dress(points, normals, regions, rest_joints, face_landmarks, outfit, rng)
     vertex_weights = np.zeros((len(vertices), JOINT_COUNT))
     np.put_along_axis(vertex_weights, influences, sparse_weights, axis=1)
     weights = np.einsum("nc,nck->nk", barycentric, vertex_weights[corners])
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Body(name, cloud, weights.astype(np.float32), rest_joints, SOURCE)
+
+
+def dress(
+    points: Array,
+    normals: Array,
+    regions: NDArray[np.str_],
+    rest_joints: Array,
+    face: Face,
+    outfit: Outfit,
+    rng: np.random.Generator,
+) -> GaussianCloud:
+    """Flat Gaussians, clothed and with hair, at points (N, 3) of a T-posed surface with normals (N, 3) of any length.
+
+    Args:
+        regions: of each point, as `hoi.body.clothing.paint` knows them, (N,).
+    """
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    hairy = hair(points, regions, face, outfit)
+    colours = paint(points, normals, regions, rest_joints, face, outfit)
+    colours *= rng.uniform(0.97, 1.03, (len(points), 1))
+    points = points + outfit.hair_thickness * face.scale * normals * hairy[:, None]
+    spacing = KDTree(points).query(points, k=1 + NEIGHBOURS)[0][:, 1:].mean(axis=1)
     scales = OVERLAP * spacing[:, None] * np.array([1.0, 1.0, FLATNESS])
-    cloud = GaussianCloud(
+    return GaussianCloud(
         means=points.astype(np.float32),
         quaternions=tilt_quaternions(normals).astype(np.float32),
         scales=scales.astype(np.float32),
-        opacities=np.full(gaussians, OPACITY, dtype=np.float32),
+        opacities=np.full(len(points), OPACITY, dtype=np.float32),
         sh=sh_from_colours(np.clip(colours, 0, 1)).astype(np.float32),
     )
-    weights /= weights.sum(axis=1, keepdims=True)
-    return Body(name, cloud, weights.astype(np.float32), rest_joints, SOURCE)
 
 
 def sample_surface(
@@ -145,7 +161,7 @@ def vertex_normals(vertices: Array, faces: NDArray[np.intp]) -> Array:
     normals = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], face_normals)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
 
 def tilt_quaternions(normals: Array) -> Array:

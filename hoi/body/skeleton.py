@@ -7,6 +7,8 @@ JOINT_NAMES = (
 )  # fmt: skip
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 JOINT_COUNT = len(JOINT_NAMES)
+POSE_FEATURES = 9 * (JOINT_COUNT - 1)
+"""Entries of R_j - I of joints 1..23, which pose blend shapes are linear in."""
 
 LIMBS = {
     "left_foot": (7, 10),

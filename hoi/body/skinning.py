@@ -1,7 +1,8 @@
 """Linear blend skinning of a body's Gaussians, differentiable (torch), and what NumPy callers need of it.
 
 mu'_i = (sum_k w_ik A_k) mu_i with A_k = G_k [I, -J_k] (paper, Human Representation). A blend of rotations is not a
-rotation, so covariances turn by the rotation nearest to sum_k w_ik R_k, and quaternions stay unit.
+rotation, so covariances turn by the rotation nearest to sum_k w_ik R_k, and quaternions stay unit. A body with pose
+blend shapes (Loper et al. 2015, SMPL) has mu_i + B_i (R - I) in the place of mu_i; they move centres alone.
 """
 
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ class BodyTensors:
     """w_ik, (N, 24)."""
     rest_joints: Tensor
     """[m], (24, 3)."""
+    pose_directions: Tensor | None = None
+    """B_i, (N, 3, 207), see `hoi.data.Body`."""
 
 
 def body_tensors(
@@ -42,15 +45,20 @@ def body_tensors(
     dtype: torch.dtype = torch.float32,
     device: torch.device | str = "cpu",
 ) -> BodyTensors:
-    """The Gaussians of `body` with indices `subset` (default all) as tensors."""
+    """The Gaussians of `body` with indices `subset` (default all) as tensors.
+
+    They are copies: matrix products of what lies otherwise in memory differ in the last digit, and so would runs.
+    """
     rows = slice(None) if subset is None else subset
-    arrays = (body.cloud.means[rows], body.cloud.quaternions[rows], body.skinning_weights[rows], body.rest_joints)
-    return BodyTensors(*(torch.as_tensor(array, dtype=dtype, device=device) for array in arrays))
+    arrays = [body.cloud.means[rows], body.cloud.quaternions[rows], body.skinning_weights[rows], body.rest_joints]
+    if body.pose_directions is not None:
+        arrays.append(body.pose_directions[rows])
+    return BodyTensors(*(torch.tensor(array, dtype=dtype, device=device) for array in arrays))
 
 
 def pose_means(body: BodyTensors, translation: Tensor, orientation: Tensor, body_pose: Tensor) -> Tensor:
     """World centres [m], (T, N, 3), of a motion's parameters (T, 3), (T, 6), (T, 23, 3); see `hoi.data.Motion`."""
-    return _blend_means(body, *_joint_frames(body, translation, orientation, body_pose))
+    return _blend_means(body, *_joint_frames(body, translation, orientation, body_pose), body_pose)
 
 
 def pose_gaussians(
@@ -63,7 +71,7 @@ def pose_gaussians(
     """
     rotations, positions = _joint_frames(body, translation, orientation, body_pose)
     quaternions = _blend_quaternions(body, rotations)
-    return _blend_means(body, rotations, positions), roma.unitquat_to_rotmat(quaternions)
+    return _blend_means(body, rotations, positions, body_pose), roma.unitquat_to_rotmat(quaternions)
 
 
 def pose_quaternions(body: BodyTensors, orientation: Tensor, body_pose: Tensor) -> Tensor:
@@ -141,8 +149,8 @@ def _joint_frames(
     return forward_kinematics(local_rotations(orientation, body_pose), translation, body.rest_joints)
 
 
-def _blend_means(body: BodyTensors, rotations: Tensor, positions: Tensor) -> Tensor:
-    """(T, 24, 3, 3), (T, 24, 3) -> (T, N, 3).
+def _blend_means(body: BodyTensors, rotations: Tensor, positions: Tensor, body_pose: Tensor) -> Tensor:
+    """(T, 24, 3, 3), (T, 24, 3), (T, 23, 3) -> (T, N, 3).
 
     sum_k w_ik (R_k mu_i + t_k) is linear in (R_k, t_k) with coefficients w_ik (mu_i, 1), so that all frames are one
     matrix product.
@@ -151,7 +159,17 @@ def _blend_means(body: BodyTensors, rotations: Tensor, positions: Tensor) -> Ten
     transforms = torch.cat([rotations.mT, offsets[..., None, :]], dim=-2)  # (T, 24, 4, 3)
     coefficients = body.weights[:, :, None] * torch.nn.functional.pad(body.means, (0, 1), value=1.0)[:, None, :]
     blended = transforms.flatten(1, 2).mT.flatten(0, 1) @ coefficients.flatten(1).T  # (T * 3, N)
-    return blended.unflatten(0, (-1, 3)).mT
+    means = blended.unflatten(0, (-1, 3)).mT
+    return means if body.pose_directions is None else means + _pose_corrections(body, rotations, body_pose)
+
+
+def _pose_corrections(body: BodyTensors, rotations: Tensor, body_pose: Tensor) -> Tensor:
+    """(sum_k w_ik R_k) B_i (R - I), (T, N, 3), of (T, 24, 3, 3) and (T, 23, 3)."""
+    assert body.pose_directions is not None
+    feature = (roma.rotvec_to_rotmat(body_pose) - torch.eye(3).to(body_pose)).flatten(-3)  # (T, 207)
+    corrections = (feature @ body.pose_directions.flatten(0, 1).T).unflatten(-1, (-1, 3))
+    turns = (body.weights @ rotations.flatten(-2)).unflatten(-1, (3, 3))
+    return (turns @ corrections[..., None])[..., 0]
 
 
 def _blend_quaternions(body: BodyTensors, rotations: Tensor) -> Tensor:

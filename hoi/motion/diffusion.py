@@ -1,4 +1,4 @@
-"""Diffusion of motions: cosine schedule, forward noising, classifier-free guidance, ancestral sampling.
+"""Diffusion of motions: cosine schedule, forward noising, classifier-free guidance, ancestral and DDIM sampling.
 
 As STMC has it (Petrovich et al. 2024, after Nichol & Dhariwal 2021); indices t = 0 .. timesteps - 1, t = 0 is already
 slightly noised.
@@ -74,4 +74,33 @@ def ancestral_sample(
         mean, variance = posterior(x0, x, t, alphas_cumprod)
         sigma = variance if stmc_compat_sigma else math.sqrt(variance)
         x = mean + sigma * torch.randn(shape, generator=generator).to(device)
+    raise ValueError("alphas_cumprod is empty")
+
+
+@torch.no_grad()
+def ddim_sample(
+    predict_x0: Callable[[Tensor, Tensor], Tensor],
+    shape: tuple[int, int, int],
+    alphas_cumprod: Tensor,
+    generator: torch.Generator,
+    steps: int,
+    device: torch.device | str = "cpu",
+) -> Tensor:
+    """Sample x0 (B, T, F) from noise along the deterministic path, in few steps (Song et al. 2021, DDIM, eta = 0).
+
+    Args:
+        steps: predictions, at evenly spaced timesteps from the last to 0; at most as many as there are timesteps.
+        predict_x0, shape, alphas_cumprod, generator, device: as in `ancestral_sample`.
+    """
+    if not 1 <= steps <= len(alphas_cumprod):
+        raise ValueError(f"steps must be in [1, {len(alphas_cumprod)}], got {steps}")
+    x = torch.randn(shape, generator=generator).to(device)
+    times = torch.linspace(len(alphas_cumprod) - 1, 0, steps).round().int().tolist()
+    for t, following in zip(times, [*times[1:], None], strict=True):
+        x0 = predict_x0(x, torch.full(shape[:1], t, device=device))
+        if following is None:
+            return x0
+        abar, after = float(alphas_cumprod[t]), float(alphas_cumprod[following])
+        noise = (x - math.sqrt(abar) * x0) / math.sqrt(1 - abar)
+        x = math.sqrt(after) * x0 + math.sqrt(1 - after) * noise
     raise ValueError("alphas_cumprod is empty")

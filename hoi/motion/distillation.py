@@ -1,5 +1,6 @@
 """Human motion score distillation (paper, Human Motion Score Distillation), the prior's pull in stages 1 and 2."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,8 +10,12 @@ from torch import Tensor
 
 from hoi.body.kinematics import joint_positions
 from hoi.data import Motion
+from hoi.errors import RunError
 from hoi.motion import features
 from hoi.motion.prior import MotionPrior
+
+PELVIS_VELOCITY = slice(1, 3)
+"""Where `hoi.motion.features` has the pelvis' velocity along the ground."""
 
 
 @dataclass
@@ -83,6 +88,8 @@ class ScoreDistillation:
     """Of the guidance, see `hoi.motion.diffusion.guide`."""
     t_min: int
     t_max: int
+    stand: bool = False
+    """Whether the person stays where they are: the prior is held to a pelvis that does not travel."""
 
     def features(self, pose: PoseParameters) -> Tensor:
         """The prior's normalised features of X, (T, 205)."""
@@ -94,6 +101,15 @@ class ScoreDistillation:
             ground=self.sole_height * self.leg_ratio,
         )
         return self.prior.normalise(raw)
+
+    def predict_x0(self, x_t: Tensor, t: Tensor, guidance: float, rescale: float) -> Tensor:
+        """X0_hat of the prior for the prompt, (B, T, 205); with `stand`, of a pelvis that does not travel."""
+        x0 = self.prior.predict_x0(x_t, t, self.text, guidance, rescale)
+        if not self.stand:
+            return x0
+        still = self.prior.normalise(torch.zeros_like(x0[0, 0]))[PELVIS_VELOCITY]
+        x0[..., PELVIS_VELOCITY] = still  # as MDM edits motions: what is known replaces the prediction
+        return x0
 
     def loss(self, pose: PoseParameters, generator: torch.Generator) -> Tensor:
         """0.5 w(t) |X - X0_hat|^2, averaged over features and frames; X0_hat is held constant.
@@ -108,7 +124,7 @@ class ScoreDistillation:
         with torch.no_grad():
             x_t = alpha_bar.sqrt() * x + (1 - alpha_bar).sqrt() * noise
             steps = torch.full((1,), t, device=x.device)
-            x0 = self.prior.predict_x0(x_t[None], steps, self.text, self.guidance, self.rescale)[0]
+            x0 = self.predict_x0(x_t[None], steps, self.guidance, self.rescale)[0]
         return 0.5 * (1 - alpha_bar) * ((x - x0) ** 2).mean()
 
 
@@ -119,13 +135,30 @@ def optimise(
     iterations: int,
     learning_rate: float,
     on_iteration: Callable[[int, dict[str, float]], None],
+    decay: float = 0.0,
 ) -> None:
-    """Adam on X, in place (paper, Optimization Details). `losses` names the terms; their weighted sum is descended."""
+    """Adam on X, in place (paper, Optimization Details). `losses` names the terms; their weighted sum is descended.
+
+    Over the last `decay` of the iterations the learning rate falls linearly to 0: Adam's steps are about as large as
+    it whatever the loss, so that X would otherwise tremble by that much from frame to frame at the end.
+
+    Raises:
+        RunError: a loss or X is not finite.
+    """
     optimiser = torch.optim.Adam(pose.leaves(), lr=learning_rate)
     for iteration in range(iterations):
+        left = (iterations - iteration) / (decay * iterations) if decay else 1.0
+        optimiser.param_groups[0]["lr"] = learning_rate * min(left, 1.0)
         optimiser.zero_grad()
         terms = losses()
         total = torch.stack([weights[name] * value for name, value in terms.items()]).sum()
         total.backward()
         optimiser.step()
-        on_iteration(iteration, {name: float(value.detach()) for name, value in terms.items()})
+        values = {name: float(value.detach()) for name, value in terms.items()}
+        if not all(math.isfinite(value) for value in values.values()):
+            raise RunError(
+                f"the motion is not finite after {iteration} iterations; lower the guidance or learning rate"
+            )
+        on_iteration(iteration, values)
+    if not all(bool(leaf.isfinite().all()) for leaf in pose.leaves()):
+        raise RunError("the motion is not finite after the last iteration; lower the guidance or learning rate")

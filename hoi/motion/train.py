@@ -22,8 +22,19 @@ from torch import Tensor
 
 from hoi.errors import InputError
 from hoi.motion import deepmimic
-from hoi.motion.dataset import FPS, TrainingSet, build_training_set, read_captions, read_clips, rest_joints_of
+from hoi.motion.dataset import (
+    FPS,
+    HELD_OUT,
+    TrainingSet,
+    build_training_set,
+    is_held_out,
+    read_captions,
+    read_clips,
+    rest_joints_of,
+    with_knee_strikes,
+)
 from hoi.motion.diffusion import cosine_alphas_cumprod, q_sample
+from hoi.motion.losses import MotionLoss
 from hoi.motion.mdm import Architecture, MotionDenoiser
 from hoi.motion.publish import publish
 from hoi.motion.text import file_sha256, minilm
@@ -82,6 +93,7 @@ class Training:
         """Set the statistics and what is computed with them."""
         self.mean, self.std, self.text_mean, self.text_std = mean, std, text_mean, text_std
         self.features = (self.data.features - mean) / std
+        self.loss = MotionLoss(mean, std, self.data.rest_joints)
         self.text = (self.raw_text - text_mean) / text_std
 
     def progress(self) -> float:
@@ -109,12 +121,12 @@ class Training:
         return x0, torch.randn(x0.shape, generator=generator), t, text
 
     def advance(self) -> float:
-        """One optimiser step; returns the loss (MSE of the normalised x0)."""
+        """One optimiser step; returns the MSE of the normalised x0, without the loss's other terms."""
         x0, noise, t, text = self.batch()
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate()
         predicted = self.denoiser(q_sample(x0, t, noise, self.alphas_cumprod), t, text)
-        loss = (predicted - x0).square().mean()
+        loss, plain = self.loss(predicted, x0, self.alphas_cumprod.to(x0)[t])
         self.optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.denoiser.parameters(), 1.0)
@@ -124,7 +136,7 @@ class Training:
         with torch.no_grad():
             for slow, fast in zip(self.average.parameters(), self.denoiser.parameters(), strict=True):
                 slow.lerp_(fast, 1 - decay)
-        return loss.item()
+        return plain.item()
 
     def state(self) -> dict[str, Any]:
         """All that resuming and exporting need; plain tensors and numbers."""
@@ -180,13 +192,36 @@ class Training:
         write_atomically(out / "checkpoint.pt", self.state())
 
 
+def clip_files(folder: Path) -> list[Path]:
+    """The clip files of --data.
+
+    Raises:
+        InputError: there is none.
+    """
+    files = sorted(folder.glob("*.npz"))
+    if not files:
+        raise InputError(f"--data {folder}: holds no .npz clip file")
+    return files
+
+
+def read_split(folder: Path) -> tuple[TrainingSet, TrainingSet]:
+    """What priors are trained on and what is held out, of a folder of clip files.
+
+    Raises:
+        InputError: there is no clip file, or all or none of the clips is held out.
+    """
+    rest_joints, sentences = rest_joints_of(deepmimic.OFFSETS), read_captions(folder)
+    clips = with_knee_strikes([clip for file in clip_files(folder) for clip in read_clips(file)], rest_joints)
+    parts = [[clip for clip in clips if is_held_out(clip) is held_out] for held_out in (False, True)]
+    training, held_out = (build_training_set(part, rest_joints, sentences) for part in parts)
+    return training, held_out
+
+
 def read_data(options: argparse.Namespace) -> tuple[TrainingSet, dict[str, Any]]:
     """The training set that the command line asks for, and what to say about it in training.json."""
     clips, files = [], []
     if options.data:
-        files = sorted(options.data.glob("*.npz"))
-        if not files:
-            raise InputError(f"--data {options.data}: holds no .npz clip file")
+        files = clip_files(options.data)
         clips += [clip for file in files for clip in read_clips(file)]
     if options.pybullet:
         folder = deepmimic.clip_folder()
@@ -194,9 +229,13 @@ def read_data(options: argparse.Namespace) -> tuple[TrainingSet, dict[str, Any]]
         files += sorted(folder.glob("humanoid3d_*.txt"))
     if not clips:
         raise InputError("--data, --pybullet: give at least one of them")
-    data = build_training_set(clips, rest_joints_of(deepmimic.OFFSETS), read_captions(options.data))
+    rest_joints = rest_joints_of(deepmimic.OFFSETS)
+    clips = with_knee_strikes(clips, rest_joints)
+    training = [clip for clip in clips if not is_held_out(clip)]
+    data = build_training_set(training, rest_joints, read_captions(options.data))
     return data, {
-        "clips": len(clips),
+        "clips": len(training),
+        "held_out": {"clips": len(clips) - len(training), "names_begin_with": HELD_OUT},
         "windows": data.summary,
         "data": {file.name: file_sha256(file) for file in files},
     }

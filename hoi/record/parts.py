@@ -98,7 +98,11 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     }
     return {
         "scene.json": to_json(facts),
-        "body.npz": _npz({name: getattr(body.cloud, name) for name in _CLOUD}, body, _BODY),
+        "body.npz": _npz(
+            {name: getattr(body.cloud, name) for name in _CLOUD},
+            body,
+            _BODY if body.pose_directions is None else (*_BODY, "pose_directions"),
+        ),
         "object.npz": _npz(
             {name: getattr(thing.cloud, name) for name in _CLOUD},
             thing,
@@ -113,7 +117,12 @@ def scene_from_files(files: dict[str, bytes]) -> Scene:
     body, thing = _arrays(files["body.npz"]), _arrays(files["object.npz"])
     return Scene(
         name=facts["name"],
-        body=Body(cloud=_cloud(body), **facts["body"], **_named(body, _BODY)),
+        body=Body(
+            cloud=_cloud(body),
+            **facts["body"],
+            **_named(body, _BODY),
+            pose_directions=body.get("pose_directions"),
+        ),
         object=SceneObject(
             name=facts["object"]["name"],
             cloud=_cloud(thing),

@@ -45,7 +45,7 @@ class Person:
 def person_tensors(body: Body, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Person:
     """All Gaussians of `body` as tensors."""
     scales, opacities, sh = (
-        torch.as_tensor(array, dtype=dtype, device=device)
+        torch.tensor(array, dtype=dtype, device=device)
         for array in (body.cloud.scales, body.cloud.opacities, body.cloud.sh)
     )
     return Person(body_tensors(body, dtype=dtype, device=device), scales, opacities, sh)
@@ -100,7 +100,7 @@ class _MovingPerson:
         self._body, self._motion = body, motion
         self._tensors = person_tensors(body, device=device)
         arrays = (motion.translation, motion.orientation, motion.body_pose)
-        self._parameters = [torch.as_tensor(array, dtype=torch.float32, device=device) for array in arrays]
+        self._parameters = [torch.tensor(array, dtype=torch.float32, device=device) for array in arrays]
         self._same_as = _last_change([array.reshape(len(motion), -1) for array in arrays])
         self._block = max(1, BLOCK // max(1, len(body.cloud)))
         self._posed: dict[int, Splats] = {}
@@ -132,7 +132,7 @@ class _MovingObject:
         gradient = trajectory.deformation_gradient
         self._gradient = None if gradient is None else gradient[:, : len(cloud)]
         self._still = from_cloud(cloud, device)
-        self._root = torch.as_tensor(
+        self._root = torch.tensor(
             gaussians.rotation_matrices(cloud) * cloud.scales[:, None, :], dtype=torch.float32, device=device
         )
         self._same_as = _last_change([self._positions, *([] if self._gradient is None else [self._gradient])])
@@ -154,7 +154,7 @@ class _MovingObject:
         return replace(self._still, means=means, covariances=root @ root.mT, turns=turns)
 
     def _tensor(self, array: Array) -> Tensor:
-        return torch.as_tensor(array, dtype=torch.float32, device=self._device)
+        return torch.tensor(array, dtype=torch.float32, device=self._device)
 
     def outline(self) -> Array:
         """The outermost Gaussians [m], (T, m, 3)."""

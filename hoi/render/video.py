@@ -16,8 +16,8 @@ from typing import NoReturn
 
 from hoi.config import RenderBackend
 from hoi.errors import InputError, RunError
+from hoi.interrupt import interruptible
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
-from hoi.run import end_when_interrupted, leave_interrupted
 
 CHOICES = (*VIEWS, "turntable", "all")
 
@@ -133,8 +133,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    end_when_interrupted()
-    try:
+    with interruptible():
         sys.exit(main())
-    except KeyboardInterrupt:
-        leave_interrupted()

@@ -1,0 +1,138 @@
+"""How near the striking joint comes to objects placed all around: `python -m analysis.reach [-o FILE.csv] [overrides]`.
+
+Stage 1 runs once, its motion is the same wherever the object is; stage 2 runs for every placement. The gap is that of
+`hoi.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from hydra import compose, initialize_config_dir
+
+from hoi import movers
+from hoi.body.skinning import joint_paths
+from hoi.config import CONF, Approach, Config, HMSDConf, register
+from hoi.coordination import REACHED, approach, coordinate, find_target
+from hoi.data import Motion, Scene
+from hoi.errors import InputError, RunError
+from hoi.motion.synthesis import load_distillation, synthesise
+from hoi.plan import approaches
+from hoi.progress import Stage
+from hoi.scene import build_scene, load_object
+from hoi.validate import to_config
+
+DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
+"""Of the object, as seen from the origin: the first ahead, the others evenly around [m]; None is on the ground."""
+
+
+def positions(directions: int, distances: Sequence[float], heights: Sequence[float | None]) -> list[list[float | None]]:
+    """scene.placement.position of every placement [m]."""
+    angles = np.pi / 2 + 2 * np.pi * np.arange(directions) / directions
+    return [
+        [round(float(distance * np.cos(angle)), 4), round(float(distance * np.sin(angle)), 4), height]
+        for height in heights
+        for distance in distances
+        for angle in angles
+    ]
+
+
+def config_of(overrides: Sequence[str]) -> Config:
+    register()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return to_config(compose("config", ["render=none", *overrides]))
+
+
+def measure(overrides: Sequence[str], places: Sequence[list[float | None]]) -> pd.DataFrame:
+    """One row a placement.
+
+    Raises:
+        InputError: a bad override, or a config without motion prior or attraction.
+        RunError: a stage failed.
+    """
+    config = config_of(overrides)
+    if not isinstance(config.stage.motion, HMSDConf):
+        raise InputError("analysis.reach needs a motion prior: stage/motion=hmsd")
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    scene = build_scene(config)
+    distillation = load_distillation(scene, config.stage.motion, "cpu", config.scene.approach is Approach.stand)
+    free = synthesise(scene, distillation, config.stage.motion, config.seed, "cpu", quiet("motion"))
+    target = find_target(scene, free, config)
+    rows = []
+    for place in places:
+        z = "null" if place[2] is None else place[2]
+        there = config_of([*overrides, f"scene.placement.position=[{place[0]},{place[1]},{z}]"])
+        around = replace(scene, object=load_object(there))
+        trajectory, _ = movers.free_motion(around, movers.at_rest, quiet("free motion"))
+        stage = quiet("coordinate")
+        after = coordinate(around, free, trajectory, target, distillation, there, "cpu", stage)
+        before = approach(around, free, trajectory, target) if approaches(there) else free
+        rows.append(
+            {
+                "x": place[0],
+                "y": place[1],
+                "z": trajectory.com[0, 2],
+                "gap": stage.numbers["reach_gap"],
+                "slide before": stage.numbers["slide_before"],
+                "slide after": stage.numbers["slide_after"],
+                "jerk before": mean_jerk(scene, before),
+                "jerk after": mean_jerk(scene, after),
+                "pose moved": pose_distance(scene, before, after),
+                "off ground before": off_ground(scene, before),
+                "off ground after": off_ground(scene, after),
+            }
+        )
+        print(".", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return pd.DataFrame(rows)
+
+
+def quiet(name: str) -> Stage:
+    """A stage without a bar."""
+    return Stage(name, lambda units: None, [])
+
+
+def mean_jerk(scene: Scene, motion: Motion) -> float:
+    """Mean size of the joints' third derivative [m/s^3]."""
+    jerk = np.diff(joint_paths(scene.body, motion), n=3, axis=0) * motion.fps**3
+    return float(np.linalg.norm(jerk, axis=-1).mean())
+
+
+def pose_distance(scene: Scene, before: Motion, after: Motion) -> float:
+    """Mean distance of the joints, each motion seen from its pelvis [m]."""
+    seen = [paths - paths[:, :1] for paths in (joint_paths(scene.body, motion) for motion in (before, after))]
+    return float(np.linalg.norm(seen[0] - seen[1], axis=-1).mean())
+
+
+def off_ground(scene: Scene, motion: Motion) -> float:
+    """Largest height of the lowest joint over the frames [m]."""
+    return float(joint_paths(scene.body, motion)[..., 2].min(axis=1).max())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m analysis.reach", description="Gaps to objects all around.")
+    parser.add_argument("-o", "--out", type=Path, help="the table as .csv")
+    parser.add_argument("--directions", type=int, default=DIRECTIONS, help=f"default {DIRECTIONS}")
+    parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
+    arguments = parser.parse_args()
+    try:
+        table = measure(arguments.overrides, positions(max(arguments.directions, 1), DISTANCES, HEIGHTS))
+        if arguments.out:
+            table.to_csv(arguments.out, index=False)
+    except (InputError, RunError, OSError) as error:
+        print(f"analysis.reach: {error}", file=sys.stderr)
+        sys.exit(3 if isinstance(error, RunError) else 2)
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.3f}"))
+    reached = table["gap"] <= REACHED
+    by_height = table.assign(reached=reached).groupby(table["z"].round(2))[["reached", "gap"]]
+    print(by_height.agg({"reached": "sum", "gap": ["count", "median", "max"]}).to_string())
+    print(f"{reached.sum()} of {len(table)} within {100 * REACHED:.0f} cm; largest gap {table['gap'].max():.3f} m")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""A judge of motions: sentences and motions in one space, close where the one describes the other.
+
+    python -m hoi.motion.evaluator --data DIR --out OUT
+
+trains it on the clips that priors are trained on, never on those held out, and writes OUT/evaluator.safetensors.
+Contrastive as in TMR (Petrovich et al. 2023) and the evaluators of text-to-motion (Guo et al. 2022), but small: what it
+knows are a few dozen kinds of motion and their sides.
+"""
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from hoi.errors import InputError
+from hoi.motion.dataset import TrainingSet
+from hoi.motion.features import FEATURE_COUNT
+from hoi.motion.text import TextEncoder, default_cache, minilm
+from hoi.motion.train import read_split
+
+FILE_NAME = "evaluator.safetensors"
+FORMAT = "hoi motion evaluator 1"
+SHIPPED = Path(__file__).parent / "weights" / FILE_NAME
+DIMENSION, WIDTH = 64, 128
+TEMPERATURE = 0.1
+STD_FLOOR = 0.02
+
+
+class Towers(nn.Module):
+    """Motions (B, T, 205) and sentence embeddings (B, text_dim), each -> (B, DIMENSION)."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, text_dim: int, dropout: float = 0.0):
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(FEATURE_COUNT))
+        self.register_buffer("std", torch.ones(FEATURE_COUNT))
+        self.frames = nn.Sequential(
+            nn.Conv1d(FEATURE_COUNT, WIDTH, 5, stride=2, padding=2), nn.GELU(), nn.Dropout(dropout),
+            nn.Conv1d(WIDTH, WIDTH, 5, stride=2, padding=2), nn.GELU(), nn.Dropout(dropout),
+            nn.Conv1d(WIDTH, WIDTH, 3, padding=1), nn.GELU(),
+        )  # fmt: skip
+        self.motion = nn.Sequential(nn.Dropout(dropout), nn.Linear(2 * WIDTH, DIMENSION))
+        self.text = nn.Sequential(
+            nn.Linear(text_dim, WIDTH), nn.GELU(), nn.Dropout(dropout), nn.Linear(WIDTH, DIMENSION)
+        )
+
+    def embed_motion(self, features: Tensor) -> Tensor:
+        hidden = self.frames(((features - self.mean) / self.std).transpose(1, 2))
+        return self.motion(torch.cat([hidden.mean(-1), hidden.amax(-1)], dim=-1))
+
+    def embed_text(self, text: Tensor) -> Tensor:
+        return self.text(text)
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Embeddings of unit length: their product is the alignment of a motion with a sentence, in -1 .. 1."""
+
+    towers: Towers
+    text_encoder: TextEncoder
+
+    @torch.no_grad()
+    def embed_motion(self, features: Tensor) -> Tensor:
+        """Unnormalised features (B, T, 205) of `hoi.motion.features.encode`, with its own ground -> (B, 64)."""
+        return nn.functional.normalize(self.towers.embed_motion(features.float()), dim=-1)
+
+    @torch.no_grad()
+    def embed_text(self, sentences: list[str]) -> Tensor:
+        """(B, 64)."""
+        return nn.functional.normalize(self.towers.embed_text(self.text_encoder.embed(sentences)), dim=-1)
+
+
+def contrast(motion: Tensor, text: Tensor, fits: Tensor) -> Tensor:
+    """Cross-entropy both ways, over a batch in which several sentences may fit a motion and the reverse.
+
+    Args:
+        motion, text: (B, DIMENSION).
+        fits: whether sentence j describes motion i, (B, B).
+    """
+    likeness = nn.functional.normalize(motion, dim=-1) @ nn.functional.normalize(text, dim=-1).T / TEMPERATURE
+    wanted = fits.to(likeness)
+    forth = -(wanted / wanted.sum(1, keepdim=True) * likeness.log_softmax(1)).sum(1).mean()
+    back = -(wanted / wanted.sum(0, keepdim=True) * likeness.log_softmax(0)).sum(0).mean()
+    return (forth + back) / 2
+
+
+def train_evaluator(data: TrainingSet, steps: int = 600, batch: int = 192, seed: int = 0) -> Evaluator:
+    """Train on the windows of `data`, drawn by the root of their weights: evenly enough that rare kinds are learnt."""
+    torch.manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
+    encoder = minilm(default_cache())
+    text = encoder.embed(data.captions)
+    towers = Towers(text.shape[1], dropout=0.2)
+    towers.mean = data.features.mean((0, 1))
+    towers.std = data.features.std((0, 1)).clamp(min=STD_FLOOR)
+    described = torch.zeros(len(data.features), len(data.captions), dtype=torch.bool)
+    for window, rows in enumerate(data.caption_choices):
+        described[window, rows] = True
+    optimiser = torch.optim.AdamW(towers.parameters(), lr=1e-3, weight_decay=0.05)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    towers.train()
+    for _ in range(steps):
+        windows = torch.multinomial(data.weights.sqrt(), batch, replacement=True, generator=generator)
+        captions = torch.multinomial(described[windows].float(), 1, generator=generator)[:, 0]
+        noise = 0.05 * torch.randn(batch, text.shape[1], generator=generator) / text.shape[1] ** 0.5
+        loss = contrast(
+            towers.embed_motion(data.features[windows]),
+            towers.embed_text(text[captions] + noise),
+            described[windows][:, captions],
+        )
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    return Evaluator(towers.eval().requires_grad_(False), encoder)
+
+
+def save_evaluator(evaluator: Evaluator, path: Path) -> None:
+    """One safetensors file with what it was made with."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    state = {name: value.contiguous() for name, value in evaluator.towers.state_dict().items()}
+    save_file(state, path, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256})
+
+
+def load_evaluator(path: Path = SHIPPED, text_cache: Path | None = None) -> Evaluator:
+    """The evaluator of a file.
+
+    Raises:
+        InputError: the file is missing, damaged, or was made with another text encoder.
+    """
+    encoder = minilm(text_cache or default_cache())
+    try:
+        with safe_open(path, framework="pt") as file:
+            noted = file.metadata() or {}
+            state = {name: file.get_tensor(name) for name in file.keys()}
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"evaluator: {path} cannot be read: {error}") from error
+    if noted.get("format") != FORMAT:
+        raise InputError(f"evaluator: {path}: format is {noted.get('format')!r}, not {FORMAT!r}")
+    if noted.get("text_encoder") != encoder.sha256:
+        raise InputError(f"evaluator: {path} was trained with another text encoder than the one here")
+    try:
+        towers = Towers(state["text.0.weight"].shape[1])
+        towers.load_state_dict(state)
+    except (KeyError, RuntimeError) as error:
+        raise InputError(f"evaluator: {path} is of another architecture: {str(error).splitlines()[0]}") from error
+    return Evaluator(towers.eval().requires_grad_(False), encoder)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m hoi.motion.evaluator", description="Train the judge of motions.")
+    parser.add_argument("--data", type=Path, required=True, help="folder of .npz clip files and captions.json")
+    parser.add_argument("--out", type=Path, required=True, help=f"folder for {FILE_NAME}")
+    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    try:
+        training, _ = read_split(options.data)
+        save_evaluator(train_evaluator(training, options.steps, seed=options.seed), options.out / FILE_NAME)
+    except (InputError, OSError) as error:
+        print(f"hoi.motion.evaluator: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

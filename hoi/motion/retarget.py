@@ -1,0 +1,258 @@
+"""From any human skeleton to the 24 SMPL joints: which joint is which by its name and place, and how its rest differs.
+
+G_k = G_j C_k: the world rotation of SMPL joint k is that of the joint j it stands for, times a constant C_k that takes
+SMPL's T-pose to the other skeleton's rest pose.
+"""
+
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import roma
+import torch
+
+from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hoi.data import Array
+from hoi.errors import InputError
+
+ALIASES = {
+    "hip": ("upleg", "upperleg", "thigh", "femur", "hip"),
+    "knee": ("knee", "leg", "lowerleg", "lowleg", "shin", "calf", "tibia"),
+    "ankle": ("ankle", "foot"),
+    "foot": ("toebase", "toe", "toes", "ball", "foot"),
+    "shoulder": ("arm", "upperarm", "uparm", "humerus", "shldr", "shoulder"),
+    "elbow": ("elbow", "forearm", "lowerarm", "lowarm", "radius"),
+    "wrist": ("wrist", "hand"),
+    "hand": ("hand",),
+}
+"""What skeletons call the joints of a limb, the clearest name first: of two that match, the earlier is taken, which
+tells Mixamo's LeftShoulder, a collar, from Biovision's."""
+NEEDED = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+SIDED = (
+    r"(?P<side>left|right)[ _.-]?(?P<part>.+)", r"(?P<part>.+?)[ _.-]?(?P<side>left|right)",
+    r"(?P<side>[lr])[ _.-](?P<part>.+)", r"(?P<part>.+)[ _.-](?P<side>[lr])",
+    r"(?P<side>[lr])(?P<part>hipjoint|femur|tibia|foot|toes|clavicle|humerus|radius|wrist|hand|shldr|shin|thigh|forearm"
+    r"|upleg|leg|arm|collar|shoulder|elbow|knee|ankle|hip)",
+)  # fmt: skip
+"""How names tell left from right."""
+LIMB_BONES = {"hip": "knee", "knee": "ankle", "shoulder": "elbow", "elbow": "wrist"}
+"""Joints whose rest direction is taken over exactly; those of feet, collars and the trunk differ between skeletons
+in where the joint lies, not in the pose."""
+OTHER_BONES = {"collar": "shoulder", "ankle": "foot"}
+STANDING = np.cos(np.radians(60))
+"""A bone that is further than this from the T-pose's direction is not where a standing person has it."""
+ALIGNED = 0.9
+"""Cosine above which the rest pose's body axes are taken to be the file's axes."""
+
+
+def side_and_part(name: str) -> tuple[str, str]:
+    """ "LeftUpLeg" -> ("left", "upleg"); "Spine1" -> ("", "spine")."""
+    side, part = "", name
+    for pattern in SIDED:
+        if match := re.fullmatch(pattern, name, re.IGNORECASE):
+            side, part = {"l": "left", "r": "right"}[match["side"][0].lower()], match["part"]
+            break
+    return side, re.sub(r"[^a-z0-9]", "", part.lower()).rstrip("0123456789")
+
+
+def map_joints(names: Sequence[str], parents: Sequence[int]) -> dict[int, int]:
+    """SMPL joint -> joint that stands for it.
+
+    Arms, legs and the head are found by name, the trunk by its place between them. Of a spine of more than three
+    joints the first, the middle and the last count. Joints that SMPL has not, such as fingers, are left out.
+
+    Raises:
+        InputError: joints that no motion can do without are not found, or a limb's are not in a row.
+    """
+    plain = [name.rpartition(":")[2] for name in names]
+    prefix = _common_start(plain)  # such as "Bip01" or "Model_"
+    parts = [side_and_part(name.removeprefix(prefix).strip(" _.-")) for name in plain]
+    found: dict[str, int] = {}
+    for side in ("left", "right"):
+        for part, aliases in ALIASES.items():
+            matches = [(side, alias) for alias in aliases if (side, alias) in parts]
+            rows = [parts.index(match) for match in matches]
+            row = next((row for row in rows if row not in found.values()), None)
+            if row is not None:
+                found[f"{side}_{part}"] = row
+    missing = [f"{side}_{part}" for part in NEEDED for side in ("left", "right") if f"{side}_{part}" not in found]
+    if missing:
+        raise InputError(f"no joint for {', '.join(missing)}; the skeleton has {', '.join(names)}")
+
+    def above(row: int) -> list[int]:
+        """The joint and all it hangs on, from the root."""
+        return [*above(parents[row]), row] if row >= 0 else []
+
+    for side in ("left", "right"):
+        for limb in (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")):
+            for first, second in pairwise(limb):
+                if found[f"{side}_{first}"] not in above(found[f"{side}_{second}"])[:-1]:
+                    said = " and ".join(names[found[f"{side}_{part}"]] for part in (first, second))
+                    raise InputError(f"{said} were taken for {side}_{first} and {side}_{second}, but are not in a row")
+
+    to_hips = [above(found[f"{side}_hip"]) for side in ("left", "right")]
+    to_arms = [above(found[f"{side}_shoulder"])[:-1] for side in ("left", "right")]
+    trunk = _common_start(to_arms)
+    pelvis = _common_start([*to_hips, trunk])[-1:]
+    spine = trunk[trunk.index(pelvis[0]) + 1 :] if pelvis else []
+    if not spine:
+        raise InputError(f"no joint for spine1 between the legs and the arms; the skeleton has {', '.join(names)}")
+    found["pelvis"] = pelvis[0]
+    if len(spine) > 1:
+        found["spine1"] = spine[0]
+    if len(spine) > 2:
+        found["spine2"] = spine[len(spine) // 2]
+    found["spine3"] = spine[-1]
+    for side, path in zip(("left", "right"), to_arms, strict=True):
+        if len(path) > len(trunk):
+            found[f"{side}_collar"] = path[len(trunk)]
+    if ("", "head") in parts:
+        to_head = above(parts.index(("", "head")))
+        found["head"] = to_head[-1]
+        if spine[-1] in to_head[:-2]:
+            found["neck"] = to_head[to_head.index(spine[-1]) + 1]
+    return {JOINT_NAMES.index(name): row for name, row in found.items()}
+
+
+def _common_start(rows: Sequence[Any]) -> Any:
+    """What all of some strings or lists begin with."""
+    same = [len(set(column)) == 1 for column in zip(*rows, strict=False)]
+    return rows[0][: [*same, False].index(False)]
+
+
+def retarget(
+    names: Sequence[str],
+    parents: Sequence[int],
+    rest_positions: Array,
+    rotations: Array,
+    positions: Array,
+    rest_joints: Array,
+) -> tuple[Array, Array]:
+    """The motion of another skeleton on ours, in the other's axes.
+
+    Its path is scaled by the length of the legs, whatever its unit. Where its rest pose is no standing person's (some
+    skeletons lay every bone along one axis), how a limb is turned about its own axis is not known: it is taken to be
+    unturned on average.
+
+    Args:
+        names: of J joints.
+        parents: of the joints, -1 for the root.
+        rest_positions: joints where all rotations are the identity, (J, 3).
+        rotations: world rotations of the joints, (F, J, 3, 3).
+        positions: of the joints, in the unit of `rest_positions`, (F, J, 3).
+        rest_joints: T-pose joints of our body [m], (24, 3).
+
+    Returns:
+        Local rotations (F, 24, 3, 3) and the path of our pelvis joint [m], (F, 3).
+
+    Raises:
+        InputError: as `map_joints`, or the skeleton has no extent.
+    """
+    joints = map_joints(names, parents)
+    ours = np.asarray(rest_joints, np.float64)
+    theirs = {joint: rest_positions[row] for joint, row in joints.items()}
+    lengths = [_leg_length(theirs), _leg_length(dict(enumerate(ours)))]
+    if not lengths[0] > 0:
+        raise InputError("the legs of the skeleton have no length")
+    body = _body_axes(theirs)
+
+    def directions(joint: int, child: int) -> tuple[Array, Array]:
+        """Of the bone in the T-pose and in the other's rest pose, both in SMPL's rest frame."""
+        return _unit(ours[child] - ours[joint]), _unit(body.T @ (theirs[child] - theirs[joint]))
+
+    bones = {
+        JOINT_NAMES.index(f"{side}_{part}"): JOINT_NAMES.index(f"{side}_{end}")
+        for part, end in (LIMB_BONES | OTHER_BONES).items()
+        for side in ("left", "right")
+    }
+    legs = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee")]
+    standing = all(np.dot(*directions(joint, bones[joint])) > STANDING for joint in legs)
+
+    world = np.empty((len(rotations), JOINT_COUNT, 3, 3))
+    local = np.empty_like(world)
+    corrections: dict[int, Array] = {}
+    for joint, parent in enumerate(PARENTS):
+        name = JOINT_NAMES[joint].partition("_")[2]
+        toes = name == "foot" and not standing  # where their rest lies is not known
+        if joint not in joints or toes:
+            local[:, joint] = np.eye(3)
+            world[:, joint] = world[:, parent]
+            continue
+        turn = rotations[:, joints[joint]]
+        correction = corrections.get(parent, body) if name in ("wrist", "hand", "foot") else body
+        child = bones.get(joint, -1)
+        if child in joints:
+            tpose, rest = directions(joint, child)
+            odd = not standing and tpose @ rest < STANDING
+            if odd or name in LIMB_BONES:
+                correction = body @ _shortest_arc(tpose, rest)
+            elif name == "ankle":  # at rest the foot stands on the ground, or is spread with the leg
+                leans = (body, corrections[parent])
+                correction = min(leans, key=lambda axes: abs((axes.T @ body @ rest - tpose)[0]))
+            if odd:
+                correction = correction @ _untwist(world[:, parent].mT @ turn @ correction, tpose)
+        corrections[joint] = correction
+        world[:, joint] = turn @ correction
+        local[:, joint] = world[:, joint] if parent < 0 else world[:, parent].mT @ world[:, joint]
+
+    hips = [JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("right_hip")]
+    centre = positions[:, [joints[hip] for hip in hips]].mean(axis=1) * (lengths[1] / lengths[0])
+    return local, centre - world[:, 0] @ hips_from_pelvis(ours)
+
+
+def hips_from_pelvis(rest_joints: Array) -> Array:
+    """Middle of our hips from the pelvis joint in the T-pose [m], (3,)."""
+    joints = np.asarray(rest_joints, np.float64)
+    return (joints[JOINT_NAMES.index("left_hip")] + joints[JOINT_NAMES.index("right_hip")]) / 2 - joints[0]
+
+
+def leg_bones(rest_joints: Array) -> float:
+    """Thigh and shin of our skeleton [m], both sides' mean."""
+    return _leg_length(dict(enumerate(np.asarray(rest_joints, np.float64))))
+
+
+def _leg_length(places: dict[int, Array]) -> float:
+    names = (("left_hip", "left_knee", "left_ankle"), ("right_hip", "right_knee", "right_ankle"))
+    rows = [[places[JOINT_NAMES.index(name)] for name in leg] for leg in names]
+    return float(np.linalg.norm(np.diff(rows, axis=1), axis=-1).sum(axis=1).mean())
+
+
+def _body_axes(rest: dict[int, Array]) -> Array:
+    """Left, up and forward of the rest pose as columns: from SMPL's rest frame to the other skeleton's."""
+
+    def middle(part: str) -> Array:
+        return (rest[JOINT_NAMES.index(f"left_{part}")] + rest[JOINT_NAMES.index(f"right_{part}")]) / 2
+
+    left = _unit(rest[JOINT_NAMES.index("left_hip")] - rest[JOINT_NAMES.index("right_hip")])
+    up = middle("shoulder") - middle("hip")
+    up = _unit(up - (up @ left) * left)
+    axes = np.stack([left, up, np.cross(left, up)], axis=1)
+    if not np.isfinite(axes).all():
+        raise InputError("the hips of the skeleton are in one place, or its shoulders are between them")
+    return np.rint(axes) if (np.abs(axes).max(axis=0) > ALIGNED).all() else axes
+
+
+def _unit(vector: Array) -> Array:
+    with np.errstate(invalid="ignore"):
+        return vector / np.linalg.norm(vector)
+
+
+def _shortest_arc(start: Array, end: Array) -> Array:
+    """The least rotation that takes one unit vector to another; half a turn about any axis where they are opposite."""
+    axis, cosine = np.cross(start, end), float(start @ end)
+    if cosine < -1 + 1e-9:
+        side = np.cross(start, np.eye(3)[np.abs(start).argmin()])
+        return 2 * np.outer(_unit(side), _unit(side)) - np.eye(3)
+    across = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + across + across @ across / (1 + cosine)
+
+
+def _untwist(local: Array, axis: Array) -> Array:
+    """The turn about `axis` after which rotations (F, 3, 3) have no twist about it on average (swing-twist)."""
+    xyzw = roma.rotmat_to_unitquat(torch.from_numpy(np.ascontiguousarray(local))).numpy()
+    half = np.stack([xyzw[:, 3], xyzw[:, :3] @ axis])  # cosine and sine of half the twist, shrunk by the swing's
+    cosine, sine = (half[0] ** 2 - half[1] ** 2).sum(), (2 * half[0] * half[1]).sum()
+    angle = -np.arctan2(sine, cosine)
+    return roma.rotvec_to_rotmat(torch.from_numpy(angle * axis)).numpy()
