@@ -13,7 +13,7 @@ $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 to 3.13 (what taichi has wheels for); found none of them" \
 		"(python3 is $$(python3 --version 2>&1)). Install one, or name it: make setup PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,video]'
 	@touch $(READY)
 
 run: $(READY)  ## the default scene: record it, film it, draw a filmstrip, print the paths

@@ -1,18 +1,15 @@
 """What a record says about a run: one function a number, with its unit and which way is better. No torch."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from omegaconf import OmegaConf
-from scipy.spatial import KDTree
 
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Run
+from hoi.refine.fidelity import SUBFRAMES, object_at, surfaces_near
 
 NAN = float("nan")
-SUBFRAMES = 10
-"""Times between two frames at which limbs and object are compared."""
 
 
 def contact_gap(run: Run, points: Array) -> float:
@@ -31,48 +28,31 @@ def expected_limb(run: Run, points: Array) -> float:
 
 
 def deepest_penetration(run: Run, points: Array) -> float:
-    """How far the person's skin enters the object, at most over the whole run. Lower, [m].
+    """How far the person's skin enters the object, at most over the whole run (see `hoi.refine.fidelity`). Lower, [m].
 
-    Inside is behind the nearest Gaussian of the object, seen from its centre of mass: exact for star-shaped objects.
     The skin is the record's decimated one, interpolated between frames.
     """
-    trajectory, scene = run.state.trajectory, run.scene
+    state, scene = run.state, run.scene
+    trajectory = state.trajectory
     if trajectory is None or scene is None:
         return NAN
-    deepest = 0.0
+    push, gaussians = state.contact and state.contact.push, len(scene.object.cloud)
+    frames, skins = [], []
     for frame in np.arange(0, len(points) - 1 + 1e-9, 1 / SUBFRAMES):
         first = min(int(frame), len(points) - 2)
         skin = points[first] + (frame - first) * (points[first + 1] - points[first])
-        particles = object_at(run, float(frame))
-        surface = particles[: len(scene.object.cloud)]
+        surface = object_at(trajectory, push, scene.fps, float(frame))[:gaussians]
         near = skin[np.all((skin > surface.min(axis=0)) & (skin < surface.max(axis=0)), axis=1)]
-        if len(near) == 0:
-            continue
-        com = particles.mean(axis=0)
-        depth, nearest = KDTree(surface).query(near)
-        behind = ((near - surface[nearest]) * (surface[nearest] - com)).sum(axis=1) < 0
-        deepest = max(deepest, float((depth * behind).max()))
-    return deepest
-
-
-def object_at(run: Run, frame: float) -> Array:
-    """The object's particles at a fractional frame [m], (P, 3): linear, but for the velocity's jump at the impulse.
-
-    A push of a limb that is over within the frame is taken as one speed between the speeds before and after.
-    """
-    trajectory, push = run.state.trajectory, run.state.contact and run.state.contact.push
-    assert trajectory is not None
-    first = min(int(frame), len(trajectory.positions) - 2)
-    before, after = trajectory.positions[first], trajectory.positions[first + 1]
-    over = math.inf if push is None or run.scene is None else push.frame + push.duration * run.scene.fps
-    if push is not None and first < push.frame and over < first + 1:
-        velocity = trajectory.com_velocity / run.scene.fps if run.scene else trajectory.com_velocity
-        coming = before + (min(frame, push.frame) - first) * velocity[first]
-        leaving = after - (first + 1 - max(frame, over)) * velocity[first + 1]
-        if frame <= push.frame:
-            return coming
-        return leaving if frame >= over else coming + (frame - push.frame) / (over - push.frame) * (leaving - coming)
-    return before + (frame - first) * (after - before)
+        if len(near):
+            frames.append(float(frame))
+            skins.append(near)
+    if not frames:
+        return 0.0
+    touched = np.concatenate(skins)
+    box = touched.min(axis=0), touched.max(axis=0)
+    surfaces = surfaces_near(scene.object, trajectory, push, scene.fps, frames, box)
+    depths = (-surface.distance(skin)[0].min() for surface, skin in zip(surfaces, skins, strict=True))
+    return max(0.0, float(max(depths)))
 
 
 def post_impact_error(run: Run, points: Array) -> float:

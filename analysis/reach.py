@@ -1,7 +1,7 @@
 """How near the striking joint comes to objects placed all around: `python -m analysis.reach [-o FILE.csv] [overrides]`.
 
-Stage 1 runs once, its motion is the same wherever the object is; stage 2 runs for every placement. The gap is that of
-`hoi.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
+Stage 1 runs once a seed, its motion is the same wherever the object is; stage 2 runs for every placement, with the
+seeds in turn. The gap is that of `hoi.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
 """
 
 import argparse
@@ -14,16 +14,18 @@ import numpy as np
 import pandas as pd
 import torch
 from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
 
 from hoi import movers
 from hoi.body.skinning import joint_paths
 from hoi.config import CONF, Approach, Config, HMSDConf, register
-from hoi.coordination import REACHED, approach, coordinate, find_target
+from hoi.coordination import REACHED, coordinate, meet
 from hoi.data import Motion, Scene
 from hoi.errors import InputError, RunError
 from hoi.motion.synthesis import load_distillation, synthesise
-from hoi.plan import approaches
 from hoi.progress import Stage
+from hoi.run import one_line
 from hoi.scene import build_scene, load_object
 from hoi.validate import to_config
 
@@ -43,13 +45,21 @@ def positions(directions: int, distances: Sequence[float], heights: Sequence[flo
 
 
 def config_of(overrides: Sequence[str]) -> Config:
+    """The config of overrides, as for hoi.run.
+
+    Raises:
+        InputError: a bad one.
+    """
     register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return to_config(compose("config", ["render=none", *overrides]))
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            return to_config(compose("config", ["render=none", *overrides]))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(one_line(error)) from error
 
 
-def measure(overrides: Sequence[str], places: Sequence[list[float | None]]) -> pd.DataFrame:
-    """One row a placement.
+def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seeds: Sequence[int]) -> pd.DataFrame:
+    """One row a placement, of the seeds in turn.
 
     Raises:
         InputError: a bad override, or a config without motion prior or attraction.
@@ -61,19 +71,20 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]]) -> p
     torch.set_num_threads(config.threads or torch.get_num_threads())
     scene = build_scene(config)
     distillation = load_distillation(scene, config.stage.motion, "cpu", config.scene.approach is Approach.stand)
-    free = synthesise(scene, distillation, config.stage.motion, config.seed, "cpu", quiet("motion"))
-    target = find_target(scene, free, config)
+    motions = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", [quiet("motion") for _ in seeds])
     rows = []
-    for place in places:
+    for number, place in enumerate(places):
+        seed, free = seeds[number % len(seeds)], motions[number % len(seeds)]
         z = "null" if place[2] is None else place[2]
         there = config_of([*overrides, f"scene.placement.position=[{place[0]},{place[1]},{z}]"])
         around = replace(scene, object=load_object(there))
         trajectory, _ = movers.free_motion(around, movers.at_rest, quiet("free motion"))
         stage = quiet("coordinate")
-        after = coordinate(around, free, trajectory, target, distillation, there, "cpu", stage)
-        before = approach(around, free, trajectory, target) if approaches(there) else free
+        before, target = meet(around, free, trajectory, there)
+        (after,) = coordinate([around], [before], trajectory, [target], distillation, there, [seed], "cpu", [stage])
         rows.append(
             {
+                "seed": seed,
                 "x": place[0],
                 "y": place[1],
                 "z": trajectory.com[0, 2],
@@ -118,10 +129,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m analysis.reach", description="Gaps to objects all around.")
     parser.add_argument("-o", "--out", type=Path, help="the table as .csv")
     parser.add_argument("--directions", type=int, default=DIRECTIONS, help=f"default {DIRECTIONS}")
+    parser.add_argument("--seeds", type=int, default=10, help="default 10")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()
     try:
-        table = measure(arguments.overrides, positions(max(arguments.directions, 1), DISTANCES, HEIGHTS))
+        places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
+        table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))
         if arguments.out:
             table.to_csv(arguments.out, index=False)
     except (InputError, RunError, OSError) as error:

@@ -1,7 +1,7 @@
-"""Where the person starts and which way they face (paper, In-Scene Variations).
+"""Where and when the person starts, and which way they face (paper, In-Scene Variations).
 
-The motion prior knows neither: its motions are the same wherever they begin. So the object's place decides, exactly
-and before any optimisation, what attraction would otherwise have to tear out of the motion.
+The motion prior knows nothing of it: its motions are the same wherever they begin. So the object's place decides,
+exactly and before any optimisation, what attraction would otherwise have to tear out of the motion.
 """
 
 from collections.abc import Callable
@@ -13,6 +13,13 @@ import torch
 
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
 from hoi.data import Array, Motion
+
+WAITING = 0.02
+"""Vertical distance [m] that a frame of waiting, or of haste, is worth."""
+SOONEST = 5
+"""Frame before which no strike is moved."""
+NO_DIRECTION = 0.01
+"""What is nearer to the origin than this lies in no direction [m]."""
 
 
 def turned(motion: Motion, angle: float) -> Motion:
@@ -31,6 +38,30 @@ def shifted(motion: Motion, offset: Array) -> Motion:
     return replace(motion, translation=motion.translation + np.asarray(offset, dtype=motion.translation.dtype))
 
 
+def delayed(motion: Motion, frames: int) -> Motion:
+    """The motion so many frames later, the first pose held until then; earlier, the last one held, if negative."""
+    rows = np.clip(np.arange(len(motion)) - frames, 0, len(motion) - 1)
+    return replace(
+        motion,
+        translation=motion.translation[rows],
+        orientation=motion.orientation[rows],
+        body_pose=motion.body_pose[rows],
+    )
+
+
+def delay(height: float, heights: Array, meeting: int) -> int:
+    """By how many frames a strike at `height` [m] should come later to meet an object that rises or falls.
+
+    Args:
+        heights: of the object's centre of mass, (T,) [m].
+        meeting: the frame at which the strike would meet it now.
+    """
+    frames = np.arange(len(heights))
+    cost = np.abs(heights - height) + WAITING * np.abs(frames - meeting)
+    cost[:SOONEST] = np.inf
+    return int(cost.argmin()) - meeting
+
+
 def placed(
     motion: Motion, joint_at_meeting: Callable[[Motion], Array], goal_of: Callable[[Motion], Array], com: Array
 ) -> Motion:
@@ -45,7 +76,7 @@ def placed(
         com: the object's centre of mass then [m], (3,).
     """
     struck = joint_at_meeting(motion)
-    if np.linalg.norm(com[:2]) > 1e-6 and np.linalg.norm(struck[:2]) > 1e-6:
+    if min(np.linalg.norm(com[:2]), np.linalg.norm(struck[:2])) > NO_DIRECTION:
         motion = turned(motion, float(np.arctan2(com[1], com[0]) - np.arctan2(struck[1], struck[0])))
     offset = goal_of(motion) - joint_at_meeting(motion)
     return shifted(motion, offset * [1.0, 1.0, 0.0])

@@ -8,6 +8,9 @@ from torch import Tensor
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array, Target
 
+ENDS = 0.2
+"""No strike is aimed nearer to the upper and lower ends of an object than this [m]: balls are struck at the centre."""
+
 
 def choose_target(joints: Array, candidates: Sequence[int] = range(JOINT_COUNT)) -> Target:
     """j*: the joint with the highest cumulative velocity; t*: the frame of its peak velocity.
@@ -29,14 +32,14 @@ def window(frames: int, target: Target, sigma: float, half_width: int) -> Array:
 
 
 def attraction_loss(positions: Tensor, goal: Tensor, weights: Tensor) -> Tensor:
-    """L_attr = sum_t g(t) |p_j*(t) - c(t)|^2 / sum_t g(t) [m^2].
+    """L_attr = sum_t g(t) |p_j*(t) - c(t)|^2 / sum_t g(t) [m^2], (...).
 
     Args:
-        positions: p_j*(t) [m], (T, 3).
-        goal: c(t) [m], (T, 3).
-        weights: g(t), (T,).
+        positions: p_j*(t) [m], (..., T, 3).
+        goal: c(t) [m], (..., T, 3).
+        weights: g(t), (..., T).
     """
-    return (weights * ((positions - goal) ** 2).sum(dim=-1)).sum() / weights.sum()
+    return (weights * ((positions - goal) ** 2).sum(dim=-1)).sum(dim=-1) / weights.sum(dim=-1)
 
 
 def meeting_frame(frames: int, target: Target) -> int:
@@ -48,7 +51,8 @@ def carried_strike(com: Array, object_means: Array, limb_means: Array, path: Arr
     """The joint's own strike, carried to where the limb's skin meets the object.
 
     The paper's goal, the centre of mass, asks the limb to be inside the object, and to be there for the whole window,
-    which stops the strike. This goal meets the object's nearest point along the strike and keeps the swing.
+    which stops the strike. This goal meets the object's nearest point along the strike and keeps the swing; and what is
+    tall is struck at the strike's own height, as far as it reaches up and down (see `ENDS`).
 
     Args:
         com: centre of mass at the meeting [m], (3,).
@@ -65,10 +69,12 @@ def carried_strike(com: Array, object_means: Array, limb_means: Array, path: Arr
     if np.linalg.norm(direction) < 1e-3:  # a still limb has no strike: come from where it is
         direction = com - joint
     direction = direction / np.linalg.norm(direction)
-    from_com = object_means - com
-    along = -from_com @ direction
-    aside = np.linalg.norm(from_com + along[:, None] * direction, axis=1)
+    slack = max(0.5 * float(np.ptp(object_means[:, 2])) - ENDS, 0.0)
+    aim = com + np.array([0.0, 0.0, np.clip(joint[2] - com[2], -slack, slack)])
+    from_aim = object_means - aim
+    along = -from_aim @ direction
+    aside = np.linalg.norm(from_aim + along[:, None] * direction, axis=1)
     near_axis = aside <= max(np.quantile(aside, 0.05), 1e-6)
     depth = float(along[near_axis].max())
     reach = float(((limb_means - joint) @ direction).max())
-    return path + (com - direction * (depth + reach) - joint)
+    return path + (aim - direction * (depth + reach) - joint)

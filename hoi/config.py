@@ -4,143 +4,42 @@ Defaults live in `conf/`, not here: a field without a value there is an error at
 """
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from hoi.choices import (
+    Ablation,
+    Approach,
+    AttractionKind,
+    AttractionTarget,
+    ContactKind,
+    ContactModel,
+    Device,
+    HumanKind,
+    MaterialModel,
+    MotionInit,
+    MotionKind,
+    MoverKind,
+    ObjectKind,
+    PlaneContact,
+    Precision,
+    RefineKind,
+    RefineWhen,
+    RenderBackend,
+    RenderKind,
+    Sampler,
+    Spline,
+    UpAxis,
+    VideoPriorKind,
+    View,
+)
+
 CONF = Path(__file__).parent / "conf"
 if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
     CONF = Path(__file__).parents[1] / "conf"
-
-
-class Device(StrEnum):
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
-
-class Ablation(StrEnum):
-    full = "full"
-    no_attraction = "no_attraction"
-    no_contact = "no_contact"
-    no_mdm = "no_mdm"
-    no_mpm = "no_mpm"
-    no_video_sds = "no_video_sds"
-
-
-class HumanKind(StrEnum):
-    builtin = "builtin"
-    avatar = "avatar"
-    smpl = "smpl"
-
-
-class ObjectKind(StrEnum):
-    builtin = "builtin"
-    file = "file"
-
-
-class MaterialModel(StrEnum):
-    fixed_corotated = "fixed_corotated"
-    neo_hookean = "neo_hookean"
-    von_mises = "von_mises"
-    viscoplastic = "viscoplastic"
-    drucker_prager = "drucker_prager"
-    snow = "snow"
-    fluid = "fluid"
-
-
-class PlaneContact(StrEnum):
-    coulomb = "coulomb"
-    slip = "slip"
-    stick = "stick"
-
-
-class MotionKind(StrEnum):
-    hmsd = "hmsd"
-    none = "none"
-
-
-class MotionInit(StrEnum):
-    sample = "sample"
-    stand = "stand"
-    file = "file"
-
-
-class UpAxis(StrEnum):
-    auto = "auto"
-    y = "y"
-    z = "z"
-
-
-class Approach(StrEnum):
-    step = "step"
-    stand = "stand"
-    none = "none"
-
-
-class AttractionKind(StrEnum):
-    windowed = "windowed"
-    none = "none"
-
-
-class AttractionTarget(StrEnum):
-    surface = "surface"
-    com = "com"
-
-
-class ContactKind(StrEnum):
-    impulse = "impulse"
-    none = "none"
-
-
-class ContactModel(StrEnum):
-    impulse = "impulse"
-    collider = "collider"
-
-
-class MoverKind(StrEnum):
-    mpm = "mpm"
-    constant_velocity = "constant_velocity"
-
-
-class Precision(StrEnum):
-    float32 = "float32"
-    float64 = "float64"
-
-
-class Spline(StrEnum):
-    quadratic = "quadratic"
-    cubic = "cubic"
-
-
-class RefineKind(StrEnum):
-    video_sds = "video_sds"
-    none = "none"
-
-
-class RenderKind(StrEnum):
-    video = "video"
-    none = "none"
-
-
-class View(StrEnum):
-    """The names in `hoi.render.cameras.VIEWS`."""
-
-    front = "front"
-    side = "side"
-    three_quarter = "three_quarter"
-    back = "back"
-    top = "top"
-    follow = "follow"
-
-
-class RenderBackend(StrEnum):
-    taichi = "taichi"
-    gsplat = "gsplat"
-    reference = "reference"
 
 
 @dataclass
@@ -251,8 +150,12 @@ class HMSDConf(MotionConf):
     """The file's up axis; auto tells it from the person's."""
     sample_guidance: float = MISSING
     """Guidance scale of that sample."""
+    sample_rescale: float = MISSING
+    """Share of its overshoot that is taken back."""
+    sampler: Sampler = MISSING
+    """Ancestral, with fresh noise at each step, or DDIM, without."""
     sample_steps: int | None = MISSING
-    """Steps of DDIM for that sample; null samples ancestrally through all timesteps."""
+    """Evenly spaced timesteps of that sample; null takes all."""
     iterations: int = MISSING
     """N_init."""
     learning_rate: float = MISSING
@@ -276,7 +179,7 @@ class CoordinateConf:
     """Share of the iterations, the last ones, over which the learning rate falls to 0."""
     lambda_hmsd: float = MISSING
     lambda_feet: float = MISSING
-    """Of the feet that the free motion plants."""
+    """Of the feet: those that the free motion plants stay there, and none goes into the ground."""
 
 
 @dataclass
@@ -358,6 +261,67 @@ class RefineConf:
     """Stage 3."""
 
     kind: RefineKind = MISSING
+
+
+@dataclass
+class WindowConf(RefineConf):
+    """What moves theta of the frames around t_c, whatever the loss."""
+
+    when: RefineWhen = MISSING
+    """Only when a limb enters the object by more than `tolerance`, or whenever there is a contact."""
+    tolerance: float = MISSING
+    """Deepest penetration in the window that needs no refinement [m]."""
+    half_width: float = MISSING
+    """Delta t [frames]: the window is [t_c - Delta t, t_c + Delta t]."""
+    iterations: int = MISSING
+    lambda_penetration: float = MISSING
+    """Of the depth of the limb in the object."""
+    lambda_touch: float = MISSING
+    """Of the distance between the skin of j_c and the object at t_c."""
+    lambda_pose: float = MISSING
+    """Of leaving stage 2's pose; more for joints farther up the limb."""
+    lambda_smooth: float = MISSING
+    """Of changing accelerations, in the window and at its edges."""
+
+
+@dataclass
+class GeometricConf(WindowConf):
+    """No prior: the limb out of the object and its skin at the surface."""
+
+
+@dataclass
+class VideoSDSConf(WindowConf):
+    """Temporally masked Video-SDS."""
+
+    prior: VideoPriorKind = MISSING
+    checkpoint: str | None = None
+    """Folder or hub name of the video prior; null for the one in the package (prior=embedded)."""
+    learning_rate: float = MISSING
+    guidance: float = MISSING
+    """Classifier-free guidance scale."""
+    guidance_rescale: float = MISSING
+    """Share of the guided prediction's overshoot that is taken back."""
+    t_min: int = MISSING
+    t_max: int = MISSING
+    """Diffusion timesteps, of 1000, are drawn from [t_min, t_max] ..."""
+    t_max_end: int = MISSING
+    t_max_iterations: int = MISSING
+    """... where t_max falls linearly to t_max_end in these iterations and stays there."""
+    viewpoints: int = MISSING
+    """Cameras, evenly spaced on a circle around the action; an iteration looks from one."""
+    elevation: float = MISSING
+    """Of the cameras above the horizon [rad]."""
+    distance: float | None = MISSING
+    """Radius of that circle [m]; null frames what the prior wants to see."""
+    width: int = MISSING
+    height: int = MISSING
+    """Of the pictures [pixel]; the embedded prior has its own size."""
+    clip_frames: int | None = MISSING
+    """Frames that the prior sees; null: as many as it was trained on."""
+    offload: bool = MISSING
+    """Keep on the GPU only what is at work (prior=cogvideox)."""
+    lambda_geometry: float = MISSING
+    """Of the loss of stage/refine=geometric, added to Video-SDS; the paper has none."""
 
 
 @dataclass
@@ -458,6 +422,8 @@ class SceneConf:
 @dataclass
 class Config:
     seed: int = MISSING
+    seeds: int = MISSING
+    """Runs to do: of seed, seed + 1, ..., their persons optimised as one batch."""
     out: str = MISSING
     """Folder of the run."""
     overwrite: bool = MISSING
@@ -496,7 +462,9 @@ SCHEMAS: dict[tuple[str, str], type] = {
     ("schema/stage", "no_contact"): ContactConf,
     ("schema/stage", "mpm"): MPMConf,
     ("schema/stage", "constant_velocity"): ConstantVelocityConf,
-    ("schema/stage", "refine"): RefineConf,
+    ("schema/stage", "video_sds"): VideoSDSConf,
+    ("schema/stage", "geometric"): GeometricConf,
+    ("schema/stage", "no_refine"): RefineConf,
 }
 
 

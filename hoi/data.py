@@ -266,6 +266,8 @@ class State:
 
     motion: Motion | None = None
     trajectory: ObjectTrajectory | None = None
+    restarts: tuple[ObjectState, ...] = ()
+    """The object's state at each frame of its free motion, for the re-simulation; not recorded."""
     target: Target | None = None
     contact: ContactSearch | None = None
 

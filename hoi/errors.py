@@ -1,4 +1,4 @@
-"""The two ways a run ends early, each with its exit code."""
+"""The ways a run, or a stage that it can do without, ends early."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,7 @@ class InputError(ValueError):
 
 class RunError(RuntimeError):
     """The run itself failed (diverged, left the domain, out of memory): one line with the remedy. Exit code 3."""
+
+
+class RefineStopped(RuntimeError):
+    """Stage 3 cannot go on (something not finite, no memory): one line. The run goes on with the motion it had."""

@@ -1,4 +1,4 @@
-"""Planted feet: which the free motion plants, and the loss that keeps them where they stand."""
+"""Feet on the ground: which the free motion plants, and the losses that keep them there and all of them above it."""
 
 from dataclasses import dataclass
 
@@ -70,6 +70,17 @@ class Footing:
     def loss(self, joints: Tensor) -> Tensor:
         """L_feet: mean squared deviation [m^2]. Joints (T, 24, 3) [m]."""
         return self.deviations(joints).square().sum(-1).mean()
+
+
+def sunk(joints: Tensor, standing_heights: Tensor) -> Tensor:
+    """How deep feet are in the ground: squared depth below where they stand, summed over feet, mean over frames [m^2].
+
+    Args:
+        joints: (..., T, 24, 3) [m].
+        standing_heights: z of the joints of the standing person [m], (24,).
+    """
+    feet = list(FEET)
+    return (standing_heights[feet] - joints[..., feet, 2]).clamp(min=0).square().sum(-1).mean(-1)
 
 
 def slide(joints: Array, stances: list[Stance]) -> float:

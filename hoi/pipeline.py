@@ -5,7 +5,7 @@ import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,52 +26,81 @@ from hoi.config import (
     RenderBackend,
     RenderConf,
     VideoConf,
+    WindowConf,
 )
 from hoi.contact import find_contact
-from hoi.coordination import REACHED, coordinate, find_target
-from hoi.data import Array, Plan, Run, Scene, StageReport, State
+from hoi.coordination import REACHED, coordinate, meet
+from hoi.data import Array, Motion, Plan, Run, Scene, StageReport, State
 from hoi.errors import InputError, RunError
 from hoi.gaussians import colours
 from hoi.plan import format_plan, uses_prior
-from hoi.progress import Stage, Stages
+from hoi.progress import Stage, Stages, shared_stage
 from hoi.record import Footage, write
 from hoi.scene import build_scene
 
 if TYPE_CHECKING:
     from hoi.render.encode import Video
 
+FAILURES = (RunError, MemoryError, torch.OutOfMemoryError)
 
-def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages) -> Iterator[State]:
-    """Yields the state after each stage: object alone, human alone, human meets object, object answers."""
-    move = movers.mover(config, device)
-    motion = stand_motion(scene.body, scene.frames, scene.fps)
+
+def agents(
+    config: Config,
+    plan: Plan,
+    scenes: Sequence[Scene],
+    seeds: Sequence[int],
+    move: movers.Mover,
+    device: str,
+    stages: Sequence[Stages],
+) -> Iterator[list[State]]:
+    """Yields the states after each stage: object alone, human alone, human meets object.
+
+    One scene, one seed, one state a run: the runs share the object's free motion and move their persons as one batch.
+    """
+    conf = config.stage
+    motions = [stand_motion(scene.body, scene.frames, scene.fps) for scene in scenes]
 
     # Agent Motion Synthesis: the object's free motion ...
-    with stages.stage("free motion", scene.frames - 1) as stage:
-        trajectory, states = movers.free_motion(scene, move if plan.keeps("free_motion") else movers.at_rest, stage)
-    yield (state := State(motion=motion, trajectory=trajectory))
+    with shared_stage(stages, "free motion", config.scene.frames - 1) as (stage, *_):
+        trajectory, restarts = movers.free_motion(
+            scenes[0], move if plan.keeps("free_motion") else movers.at_rest, stage
+        )
+    yield (states := [State(motion, trajectory, restarts) for motion in motions])
 
     # ... and the human's, distilled from the motion prior.
     distillation = None
-    if isinstance(config.stage.motion, HMSDConf):
+    if isinstance(conf.motion, HMSDConf):
         from hoi.motion.synthesis import load_distillation, synthesise
 
-        with stages.stage("motion", config.stage.motion.iterations) as stage:
+        with shared_stage(stages, "motion", conf.motion.iterations) as each:
             if uses_prior(config):
                 stand = config.scene.approach is Approach.stand
-                distillation = load_distillation(scene, config.stage.motion, device, stand)
-            motion = synthesise(scene, distillation, config.stage.motion, config.seed, device, stage)
-        yield (state := replace(state, motion=motion))
+                distillation = load_distillation(scenes[0], conf.motion, device, stand)
+            motions = synthesise(scenes[0], distillation, conf.motion, seeds, device, each)
+        yield (states := with_motions(states, motions))
 
-    # Physically-Aware Interaction Synthesis: windowed attraction ...
-    target = find_target(scene, motion, config)
+    # Physically-Aware Interaction Synthesis: windowed attraction.
+    met = [meet(scene, motion, trajectory, config) for scene, motion in zip(scenes, motions, strict=True)]
+    motions, targets = [motion for motion, _ in met], [target for _, target in met]
+    states = [replace(state, target=target) for state, target in zip(states, targets, strict=True)]
     if plan.keeps("coordinate"):
-        with stages.stage("coordinate", config.stage.coordinate.iterations) as stage:
-            motion = coordinate(scene, motion, trajectory, target, distillation, config, device, stage)
-    yield (state := replace(state, motion=motion, target=target))
+        with shared_stage(stages, "coordinate", conf.coordinate.iterations) as each:
+            motions = coordinate(scenes, motions, trajectory, targets, distillation, config, seeds, device, each)
+    yield with_motions(states, motions)
 
-    # ... contact detection and re-simulation.
-    contact = config.stage.contact
+
+def with_motions(states: Sequence[State], motions: Sequence[Motion]) -> list[State]:
+    return [replace(state, motion=motion) for state, motion in zip(states, motions, strict=True)]
+
+
+def interaction(
+    config: Config, plan: Plan, scene: Scene, state: State, move: movers.Mover, device: str, stages: Stages
+) -> Iterator[State]:
+    """Yields the state of a run after each further stage: the object answers, the contact looks right."""
+    motion, trajectory, contact = state.motion, state.trajectory, config.stage.contact
+    assert motion is not None and trajectory is not None
+
+    # Contact detection and re-simulation.
     if isinstance(contact, ImpulseConf):
         with stages.stage("contact", 1):
             search = find_contact(
@@ -92,62 +121,135 @@ def method(config: Config, plan: Plan, scene: Scene, device: str, stages: Stages
                 if contact.model is ContactModel.collider:
                     collider, notes = limb_collider(scene, motion, trajectory, push, contact)
                     stage.notes.extend(notes)
-                    trajectory, pushed = movers.push(scene, trajectory, states, push, collider, move, stage)
+                    trajectory, pushed = movers.push(scene, trajectory, state.restarts, push, collider, move, stage)
                     contacts = tuple(pushed if each is push else each for each in search.contacts)
                     state = replace(state, contact=replace(search, contacts=contacts))
                 else:
-                    trajectory = movers.resimulate(scene, trajectory, states, push, move, stage)
-            yield replace(state, trajectory=trajectory)
+                    trajectory = movers.resimulate(scene, trajectory, state.restarts, push, move, stage)
+            yield (state := replace(state, trajectory=trajectory))
+
+    # Video-SDS for Contact Fidelity: theta of the frames around contact; the object's trajectory is held fixed.
+    if plan.keeps("refine") and isinstance(config.stage.refine, WindowConf):
+        from hoi.refine.stage import refine
+
+        with stages.stage("refine", config.stage.refine.iterations) as stage:
+            motion = refine(scene, state, config, device, stage)
+        yield replace(state, motion=motion)
 
 
-def run(config: Config, plan: Plan, path: Path, config_yaml: str, provenance: dict[str, str]) -> Run:
-    """Walk the method, record it at `path`, and put its video beside it as .mp4.
+@dataclass(frozen=True)
+class Job:
+    """One run to do, and what its record says of it."""
+
+    config: Config
+    path: Path
+    """Of the record; the video goes beside it, as .mp4."""
+    config_yaml: str
+    provenance: dict[str, str]
+
+
+def run(jobs: Sequence[Job], plan: Plan) -> list[Run]:
+    """Walk the method with each job, and record it. The jobs differ in nothing but seed and path.
 
     Raises:
         InputError: the config asks for what this machine has not.
-        RunError: the run failed; what it had is recorded at `run.failed.mcap` beside `path`.
+        RunError: a run failed; what it had is recorded at `run.failed.mcap` beside its path. The others are done.
     """
     started = time.perf_counter()
+    config = jobs[0].config
     device = pick_device(config.device)
     torch.set_num_threads(config.threads or torch.get_num_threads())
     check_renderer(config.render)
-    scene = build_scene(config)
-    stages = Stages()
-    finished = Run(config_yaml, provenance, {}, plan, (), (), scene, State())
-    video = footage = None
-    failure: RunError | None = None
+    scenes = [build_scene(job.config) for job in jobs]
+    move = movers.mover(config, device)
+    stages = [Stages() for _ in jobs]
+    states, failure = [State() for _ in jobs], None
     try:
-        for state in method(config, plan, scene, device, stages):
-            finished = replace(finished, state=state)
-        if isinstance(config.render, VideoConf):
-            with stages.stage("render", scene.frames) as stage:
-                video, footage = draw(finished, config.render, device, stage)
-    except (RunError, MemoryError, torch.OutOfMemoryError) as error:
-        failure = error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
+        seeds = [job.config.seed for job in jobs]
+        for reached in agents(config, plan, scenes, seeds, move, device, stages):
+            states = reached
+    except FAILURES as error:
+        failure = run_error(error)
+    shared = (time.perf_counter() - started) / len(jobs)
+
+    runs, failures = [], []
+    for job, scene, state, own in zip(jobs, scenes, states, stages, strict=True):
+        so_far = Run(job.config_yaml, job.provenance, {}, plan, (), (), scene, state)
+        finished, failed = finish(so_far, job, move, device, own, failure, shared)
+        runs.append(finished)
+        if failed is not None:
+            failures.append((job.config.seed, failed))
+    if len(jobs) > 1 and failures:
+        what = "; ".join(f"seed {seed}: {failed}" for seed, failed in failures)
+        raise RunError(f"{len(failures)} of {len(jobs)} runs failed: {what}")
+    for _, failed in failures:
+        raise failed
+    return runs
+
+
+def finish(
+    run: Run, job: Job, move: movers.Mover, device: str, stages: Stages, failure: RunError | None, shared: float
+) -> tuple[Run, RunError | None]:
+    """The rest of a run, unless what it shares with others has ended in `failure` already; and its record.
+
+    Args:
+        shared: its part of the time that the runs have taken together [s].
+
+    Returns:
+        the run, and why it failed, if it did.
+    """
+    started = time.perf_counter()
+    config, scene = job.config, run.scene
+    assert scene is not None
+    video = footage = None
+    try:
+        if failure is None:
+            for state in interaction(config, run.plan, scene, run.state, move, device, stages):
+                run = replace(run, state=state)
+            if isinstance(config.render, VideoConf):
+                with stages.stage("render", scene.frames) as stage:
+                    video, footage = draw(run, config.render, device, stage)
+    except FAILURES as error:
+        failure, video, footage = run_error(error), None, None
     result = {
         "status": "failed" if failure else "done",
-        "outcome": str(failure) if failure else outcome(config, finished.state, stages.reports),
-        "variant": plan.variant,
+        "outcome": str(failure) if failure else outcome(config, run.state, stages.reports),
+        "variant": run.plan.variant,
         "device": device,
-        "seconds": repr(time.perf_counter() - started),
+        "seconds": repr(shared + time.perf_counter() - started),
         "peak_memory_mb": repr(peak_memory_mb()),
     }
-    finished = replace(finished, result=result, reports=tuple(stages.reports), history=tuple(stages.history))
-    if failure:
-        path = path.with_name("run.failed.mcap")
-    else:
+    run = replace(
+        run,
+        result=result,
+        reports=tuple(stages.reports),
+        history=tuple(stages.history),
+        state=replace(run.state, restarts=()),
+    )
+    record(run, job, video, footage)
+    return run, failure
+
+
+def record(run: Run, job: Job, video: "Video | None", footage: Footage | None) -> None:
+    """Write the record, `run.failed.mcap` of a run that failed, and the video; say what came of it."""
+    failed = run.result["status"] == "failed"
+    path = job.path.with_name("run.failed.mcap") if failed else job.path
+    if not failed:
         path.with_suffix(".mp4").unlink(missing_ok=True)  # of a run that this one replaces
-    points = viewing_points(scene, finished.state, config.human_points)
-    write(finished, path, *points, plan_text=format_plan(plan), footage=None if failure else footage)
-    if video is not None and not failure:
+    assert run.scene is not None
+    points = viewing_points(run.scene, run.state, job.config.human_points)
+    write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
+    if video is not None:
         from hoi.render.encode import write_mp4
 
         write_mp4(video, path.with_suffix(".mp4"))
-    for line in (*scene.object.notes, summary(result)):
+    for line in (*run.scene.object.notes, summary(run.result)):
         print(line, file=sys.stderr)
-    if failure:
-        raise failure
-    return finished
+
+
+def run_error(error: Exception) -> RunError:
+    """What ended a run, as one line with a remedy."""
+    return error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
 
 
 def draw(run: Run, conf: VideoConf, device: str, stage: Stage) -> tuple["Video", Footage]:
@@ -194,9 +296,18 @@ def check_renderer(conf: RenderConf) -> None:
 
 def outcome(config: Config, state: State, reports: Sequence[StageReport]) -> str:
     """What happened, in one sentence."""
+    stopped = next((f"; stage 3 {r.notes[-1]}" for r in reports if "stopped" in r.numbers), "")
+    return f"{reached(config, state, reports)}{stopped}"
+
+
+def reached(config: Config, state: State, reports: Sequence[StageReport]) -> str:
+    """What touched the object, and whether the limb got there."""
     gap = next((r.numbers["reach_gap"] for r in reports if "reach_gap" in r.numbers), 0.0)
+    push = state.contact.push if state.contact else None
     if gap <= REACHED or state.target is None:
         return struck(config, state)
+    if push is not None and any({push.joint, state.target.joint} <= set(limb) for limb in LIMBS.values()):
+        return struck(config, state)  # a little later than it should have
     joint, frame = JOINT_NAMES[state.target.joint], state.target.frame
     return f"{struck(config, state)}; {joint} could not reach the object: {gap:.3f} m short at frame {frame}"
 

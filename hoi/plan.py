@@ -13,29 +13,36 @@ from hoi.config import (
     AttractionKind,
     Config,
     ContactModel,
+    GeometricConf,
     HMSDConf,
     ImpulseConf,
     MaterialConf,
     MotionInit,
     MPMConf,
-    RefineKind,
+    RefineConf,
+    RefineWhen,
     RenderBackend,
     VideoConf,
+    VideoPriorKind,
+    VideoSDSConf,
+    WindowConf,
     WindowedConf,
 )
 from hoi.data import Check, Material, Omission, Plan, Step
 from hoi.errors import InputError
 from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
+from hoi.weights import EMBEDDED_VIDEO_PRIOR, check_video_prior
 
 PARTS = {
-    "no_attraction": "attraction",
-    "no_contact": "contact",
-    "no_mdm": "motion prior",
-    "motion_from_file": "motion from the sentence",
-    "no_mpm": "MPM",
-    "no_video_sds": "Video-SDS",
+    "no_attraction": "the attraction",
+    "no_contact": "the contact",
+    "no_mdm": "the motion prior",
+    "motion_from_file": "the motion from the sentence",
+    "no_mpm": "the MPM",
+    "no_video_sds": "stage 3",
+    "geometric": "Video-SDS in stage 3",
 }
-"""A variant's label -> what it runs without."""
+"""A variant's label -> what it runs without. Geometric refinement is not w/o Video-SDS, where stage 2 is final."""
 
 STARTS = {
     MotionInit.sample: "a sample of the prior",
@@ -194,9 +201,15 @@ def make_plan(config: Config) -> Plan:
         without.append("no_contact")
         omissions.append(Omission("contact", "stage/contact is none", "detection, impulse and re-simulation"))
 
-    without.append("no_video_sds")
-    not_built = "it is not implemented yet" if stage.refine.kind is RefineKind.video_sds else "stage/refine is none"
-    omissions.append(Omission("refine", not_built, "the video prior, stage 3"))
+    refine = stage.refine
+    left_out = _no_refinement(refine)
+    if isinstance(refine, WindowConf) and left_out is None:
+        if isinstance(refine, GeometricConf):
+            without.append("geometric")
+        steps.append(_refinement(refine, isinstance(contact, ImpulseConf)))
+    else:
+        without.append("no_video_sds")
+        omissions.append(Omission("refine", left_out or "", "the video prior, stage 3"))
 
     if video is not None:
         detail = (
@@ -219,7 +232,7 @@ def make_plan(config: Config) -> Plan:
     variant = "+".join(sorted(without, key=order.index)) or "full"
     if config.ablation is not Ablation.full and config.ablation.value not in without:
         raise InputError(
-            f"ablation={config.ablation.value} contradicts the rest of the config, which runs with the "
+            f"ablation={config.ablation.value} contradicts the rest of the config, which runs with "
             f"{PARTS[config.ablation.value]} (variant {variant}); drop one of the two"
         )
     return Plan(variant, tuple(steps), tuple(omissions), tuple(checks))
@@ -258,6 +271,37 @@ def _check_files(motion: HMSDConf) -> None:
             f"stage.motion.checkpoint: no such file or folder: {motion.checkpoint}; "
             "stage.motion.checkpoint=null runs with the prior of the package"
         )
+
+
+def _no_refinement(refine: RefineConf) -> str | None:
+    """Why there is no stage 3; None where there is one.
+
+    Raises:
+        InputError: the video prior's weights are missing.
+    """
+    if not isinstance(refine, WindowConf):
+        return f"stage/refine is {refine.kind.value}: the output of stage 2 is final"
+    if isinstance(refine, VideoSDSConf):
+        embedded = refine.prior is VideoPriorKind.embedded and refine.checkpoint is None
+        # Only until the package has its weights; without these two lines they are missing as any others would be.
+        if embedded and not EMBEDDED_VIDEO_PRIOR.is_file():
+            return "no embedded video prior in the package"
+        check_video_prior(refine)
+    return None
+
+
+def _refinement(refine: WindowConf, has_contact: bool) -> Step:
+    """Stage 3 as a step."""
+    needed = f" where a limb is more than {refine.tolerance:g} m deep in the object"
+    detail = (
+        f"{refine.iterations} iterations on theta within {refine.half_width:g} frames of "
+        f"{'t_c' if has_contact else 't*'}{needed if refine.when is RefineWhen.needed else ''}"
+    )
+    if isinstance(refine, VideoSDSConf):
+        detail = f"{detail}, CFG {refine.guidance:g}, {refine.prior.value} {refine.checkpoint or 'in the package'}"
+        if refine.lambda_geometry > 0:
+            detail = f"{detail}, + {refine.lambda_geometry:g} L_geometry"
+    return Step("refine", refine.kind.value, detail)
 
 
 def _mpm_checks(config: Config, mpm: MPMConf, materials: tuple[Material, ...]) -> list[Check]:

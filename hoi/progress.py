@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from tqdm import tqdm
@@ -20,14 +20,25 @@ class Stages:
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator["Stage"]:
         """A stage of `total` units; its report is kept when the block ends without an error."""
-        interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line, not a film
-        with tqdm(total=total, desc=f"{name:>12}", mininterval=interval, dynamic_ncols=True) as bar:
-            stage = Stage(name, bar.update, self.history)
-            started = time.perf_counter()
+        with shared_stage([self], name, total) as (stage,):
             yield stage
-            bar.update(total - bar.n)
-        seconds = time.perf_counter() - started
-        self.reports.append(StageReport(name, seconds, stage.iterations, stage.numbers, tuple(stage.notes)))
+
+
+@contextmanager
+def shared_stage(runs: Sequence[Stages], name: str, total: int) -> Iterator[list["Stage"]]:
+    """A stage that several runs go through together: each keeps a report, with its share of the time."""
+    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line, not a film
+    with tqdm(total=total, desc=f"{name:>12}", mininterval=interval, dynamic_ncols=True) as bar:
+        advance = [bar.update] + [lambda units: None] * (len(runs) - 1)
+        stages = [Stage(name, step, run.history) for step, run in zip(advance, runs, strict=True)]
+        started = time.perf_counter()
+        yield stages
+        bar.update(total - bar.n)
+    seconds = (time.perf_counter() - started) / len(runs)
+    for run, stage in zip(runs, stages, strict=True):
+        notes = [f"of a batch of {len(runs)} runs, which share its time"] if len(runs) > 1 else []
+        report = StageReport(name, seconds, stage.iterations, stage.numbers, (*stage.notes, *notes))
+        run.reports.append(report)
 
 
 class Stage:

@@ -15,8 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from hoi.config import Config, HMSDConf
 
 PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
-NOT_HASHED = ("out", "overwrite", "plan_only")
-"""Keys that do not change what is computed."""
+NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
+"""Keys that do not change what is computed (of `seeds`: but for rounding)."""
 
 
 def config_hash(composed: DictConfig) -> str:

@@ -7,6 +7,7 @@ Exit codes: 0 done; 2 bad input; 3 the run itself failed; 130 interrupted.
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import hydra
@@ -22,7 +23,7 @@ from hoi.validate import to_config
 
 
 def execute(composed: DictConfig, overrides: list[str]) -> None:
-    """One run from its composed config.
+    """The run of a composed config, or its runs, one a seed.
 
     Raises:
         InputError: bad input, before anything is written.
@@ -35,21 +36,43 @@ def execute(composed: DictConfig, overrides: list[str]) -> None:
         return
     from hoi.provenance import provenance
 
-    facts = provenance(config, composed, overrides)
-    path = Path(config.out) / "run.mcap"
-    video = path.with_suffix(".mp4")
-    if _already_there(config, path, facts["config_hash"]):
+    to_do = []
+    for each, of_seed in _seeds(composed, config):
+        facts = provenance(each, of_seed, overrides)
+        path = Path(each.out) / "run.mcap"
+        if not _already_there(each, path, facts["config_hash"]):
+            to_do.append((each, path, OmegaConf.to_yaml(of_seed, resolve=True), facts))
+            continue
         print(f"{path}: already computed with this config (overwrite=true computes it again)")
-        if video.exists():
+        if (video := path.with_suffix(".mp4")).exists():
             print(f"{video}: its video")
+    if not to_do:
         return
-    _make_folder(path.parent)
-    from hoi.pipeline import run
+    for _, path, *_ in to_do:
+        _make_folder(path.parent)
+    from hoi.pipeline import Job, run
 
-    run(config, plan, path, OmegaConf.to_yaml(composed, resolve=True), facts)
-    print(f"recorded {path}")
-    if plan.keeps("render"):
-        print(f"filmed {video}")
+    jobs = [Job(*each) for each in to_do]
+    run(jobs, plan)
+    for job in jobs:
+        print(f"recorded {job.path}")
+        if plan.keeps("render"):
+            print(f"filmed {job.path.with_suffix('.mp4')}")
+
+
+def _seeds(composed: DictConfig, config: Config) -> Iterator[tuple[Config, DictConfig]]:
+    """The config of each seed: that of a run of this seed alone, in a folder of its own."""
+    if config.seeds == 1:
+        yield config, composed
+        return
+    numbers = range(config.seed, config.seed + config.seeds)
+    folders = {number: str(OmegaConf.merge(composed, {"seed": number}).out) for number in numbers}
+    if len(set(folders.values())) < len(numbers):  # `out` does not name the seed
+        folders = {number: f"{config.out}/s{number}" for number in numbers}
+    for number, folder in folders.items():
+        of_seed = OmegaConf.merge(composed, {"seed": number, "seeds": 1, "out": folder})
+        assert isinstance(of_seed, DictConfig)
+        yield to_config(of_seed), of_seed
 
 
 def _already_there(config: Config, path: Path, config_hash: str) -> bool:
@@ -72,13 +95,13 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"out: cannot write to {folder}: {error.strerror}") from error
 
 
-def _one_line(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """Hydra's and OmegaConf's messages without their stack of context lines."""
     message = str(error).partition("Config search path")[0]
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     cause = error.__cause__ or error.__context__
     if isinstance(error, HydraException) and isinstance(cause, OmegaConfBaseException):
-        return _one_line(cause)
+        return one_line(cause)
     key = getattr(error, "full_key", None)
     text = " ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
     return f"{key}: {text}" if key and key not in text else text
@@ -117,7 +140,7 @@ def _compose_and_execute() -> int:
         print(f"hoi: {error}", file=sys.stderr)
         code = 3
     except (InputError, HydraException, OmegaConfBaseException) as error:
-        print(f"hoi: {_one_line(error)}", file=sys.stderr)
+        print(f"hoi: {one_line(error)}", file=sys.stderr)
         code = 2
     except OSError as error:
         print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)

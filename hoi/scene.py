@@ -121,12 +121,20 @@ def check_clear(thing: SceneObject, planes: Mapping[str, Plane]) -> None:
 
 
 def check_apart(scene: Scene, motion: Motion | None = None) -> None:
-    """Refuse an object inside the person at t = 0, who starts as in `motion` or stands at the origin.
-
-    A point is inside where it is nearer to the bones than the skin next to it is.
+    """Refuse an object inside the person at t = 0 (see `is_apart`).
 
     Raises:
-        InputError: a particle of the object lies inside the person.
+        InputError: it is.
+    """
+    if not is_apart(scene, motion):
+        centre = scene.object.cloud.means.mean(axis=0)[:2].round(3).tolist()
+        raise InputError(f"scene.placement: the object at {centre} is inside the person at t = 0; move it away")
+
+
+def is_apart(scene: Scene, motion: Motion | None = None) -> bool:
+    """Whether no particle of the object is inside the person, who starts as in `motion` or stands at the origin.
+
+    A point is inside where it is nearer to the bones than the skin next to it is.
     """
     from scipy.spatial import KDTree
 
@@ -139,12 +147,10 @@ def check_apart(scene: Scene, motion: Motion | None = None) -> None:
     near = np.all((particles >= skin.min(axis=0)) & (particles <= skin.max(axis=0)), axis=1)
     particles = particles[near]
     if len(particles) == 0:
-        return
+        return True
     gap, nearest = KDTree(skin).query(particles)
     inside = _bone_distance(particles, joints) < _bone_distance(skin[nearest], joints)
-    if (inside & (gap < 0.2)).any():
-        centre = scene.object.cloud.means.mean(axis=0)[:2].round(3).tolist()
-        raise InputError(f"scene.placement: the object at {centre} is inside the person at t = 0; move it away")
+    return not bool((inside & (gap < 0.2)).any())
 
 
 def _bone_distance(points: Array, joints: Array) -> Array:

@@ -20,6 +20,9 @@ from hoi.config import (
     ObjectKind,
     PlaneContact,
     VideoConf,
+    VideoPriorKind,
+    VideoSDSConf,
+    WindowConf,
     WindowedConf,
 )
 from hoi.errors import InputError
@@ -106,6 +109,7 @@ def validate(config: Config) -> list[str]:
 
     scene, stage, placement = config.scene, config.stage, config.scene.placement
     require(config.seed >= 0, "seed", config.seed, "0 or more")
+    require(config.seeds >= 1, "seeds", config.seeds, "1 or more")
     require(config.threads is None or config.threads >= 1, "threads", config.threads, "1 or more, or null")
     require(config.human_points >= 100, "human_points", config.human_points, "100 or more")
     require(config.human.gaussians >= 1000, "human.gaussians", config.human.gaussians, "1000 or more")
@@ -178,8 +182,8 @@ def validate(config: Config) -> list[str]:
         rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: stage.motion.init is {motion.init.value}"
         require(given == named, "stage.motion.path", "null" if motion.path is None else motion.path, rule)
         require(motion.start_time >= 0, "stage.motion.start_time", motion.start_time, "0 or more [s]")
-        rescale = motion.guidance_rescale
-        require(0 <= rescale <= 1, "stage.motion.guidance_rescale", rescale, "in [0, 1]")
+        for name in ("guidance_rescale", "sample_rescale"):
+            require(0 <= getattr(motion, name) <= 1, f"stage.motion.{name}", getattr(motion, name), "in [0, 1]")
         steps = motion.sample_steps
         require(steps is None or steps >= 1, "stage.motion.sample_steps", steps, "1 or more, or null")
         require(motion.learning_rate > 0, "stage.motion.learning_rate", motion.learning_rate, "greater than 0")
@@ -229,6 +233,35 @@ def validate(config: Config) -> list[str]:
             f"cells_across={mover.cells_across}, domain={mover.domain}, grid={mover.grid}",
             "given either cells_across or both domain and grid",
         )
+    refine = stage.refine
+    if isinstance(refine, WindowConf):
+        require(refine.tolerance >= 0, "stage.refine.tolerance", refine.tolerance, "0 or more [m]")
+        require(refine.half_width >= 0, "stage.refine.half_width", refine.half_width, "0 or more [frames]")
+        require(refine.iterations >= 1, "stage.refine.iterations", refine.iterations, "1 or more")
+        for name in ("lambda_penetration", "lambda_touch", "lambda_pose", "lambda_smooth"):
+            require(getattr(refine, name) >= 0, f"stage.refine.{name}", getattr(refine, name), "0 or more")
+    if isinstance(refine, VideoSDSConf):
+        given, embedded = refine.checkpoint, refine.prior is VideoPriorKind.embedded
+        rule = "a folder or hub name: stage.refine.prior is cogvideox"
+        require(embedded or given is not None, "stage.refine.checkpoint", "null", rule)
+        require(refine.learning_rate > 0, "stage.refine.learning_rate", refine.learning_rate, "greater than 0")
+        rescale = refine.guidance_rescale
+        require(0 <= rescale <= 1, "stage.refine.guidance_rescale", rescale, "in [0, 1]")
+        for name, highest in (("t_max", 999), ("t_max_end", refine.t_max), ("t_min", refine.t_max_end)):
+            timestep = getattr(refine, name)
+            require(0 <= timestep <= highest, f"stage.refine.{name}", timestep, f"in [0, {highest}]")
+        falls = refine.t_max_iterations
+        require(falls >= 1, "stage.refine.t_max_iterations", falls, "1 or more")
+        require(refine.viewpoints >= 1, "stage.refine.viewpoints", refine.viewpoints, "1 or more")
+        require(abs(refine.elevation) < math.pi / 2, "stage.refine.elevation", refine.elevation, "in (-pi/2, pi/2)")
+        distance, clip = refine.distance, refine.clip_frames
+        require(distance is None or distance > 0, "stage.refine.distance", distance, "greater than 0 [m], or null")
+        for name in ("width", "height"):
+            value = getattr(refine, name)
+            inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE and value % SMALLEST_PICTURE == 0
+            require(inside, f"stage.refine.{name}", value, f"a multiple of {SMALLEST_PICTURE} up to {LARGEST_PICTURE}")
+        require(clip is None or clip >= 1, "stage.refine.clip_frames", clip, "1 or more [frames], or null")
+        require(refine.lambda_geometry >= 0, "stage.refine.lambda_geometry", refine.lambda_geometry, "0 or more")
     render = config.render
     if isinstance(render, VideoConf):
         require(0.1 <= scene.fps <= 1000, "scene.fps", scene.fps, "in [0.1, 1000] [1/s] for a video")

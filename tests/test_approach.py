@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hoi.approach import placed, shifted, turned
+from hoi.approach import SOONEST, delay, delayed, placed, shifted, turned
 from hoi.body.skinning import joint_paths
 from tests.demo_run import kick, person
 
@@ -49,3 +49,24 @@ def test_turning_and_moving_are_those_of_the_world(body):
     np.testing.assert_allclose(quarter, before @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), atol=1e-5)
     offset = np.array([1.0, 2, 0])
     np.testing.assert_allclose(joint_paths(body, shifted(motion, offset)), before + offset, atol=1e-5)
+
+
+def test_a_strike_waits_for_what_falls_into_its_reach():
+    """A ball thrown up passes 1.3 m twice; one that lies is met when the strike comes."""
+    time = np.arange(40) / 20.0
+    heights = 1.2 + 4.7 * time - 0.5 * 9.81 * time**2
+    later = delay(1.3, heights, meeting=20)
+    assert abs(heights[20 + later] - 1.3) < 0.15 and heights[20 + later] < heights[19 + later]
+    assert delay(0.4, np.full(40, 0.11), meeting=17) == 0
+    assert delay(0.0, -np.arange(40.0)[::-1], meeting=12) == 39 - 12
+    assert delay(0.0, np.arange(40.0), meeting=12) == SOONEST - 12
+
+
+@pytest.mark.parametrize("frames", [-5, 0, 7])
+def test_a_motion_later_or_earlier_holds_its_ends(frames):
+    motion = kick(24, 20.0, MEETING)
+    moved = delayed(motion, frames)
+    for part in ("translation", "orientation", "body_pose"):
+        before, after = getattr(motion, part), getattr(moved, part)
+        for frame in range(24):
+            np.testing.assert_array_equal(after[frame], before[min(max(frame - frames, 0), 23)])

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -70,6 +71,51 @@ def test_same_seed_same_bytes(runs, tmp_path):
     again = hoi(*SMOKE, f"out={tmp_path}", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert message_digest(tmp_path / "run.mcap") == message_digest(out / "run.mcap")
+
+
+def test_several_seeds_make_a_record_each(runs, tmp_path):
+    """As those of runs of their own, but for rounding; what is there already is not done again."""
+    shown, quick = runs("full")[0], ("ablation=no_mpm", "stage.motion.sample_steps=5", "stage.coordinate.iterations=20")
+    first = hoi(*SMOKE, *quick, f"out={tmp_path}/s1", "seed=1", cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    before = (tmp_path / "s1" / "run.mcap").stat().st_mtime_ns
+    several = hoi(*SMOKE, *quick, f"out={tmp_path}", "seed=0", "seeds=3", cwd=tmp_path)
+    assert several.returncode == 0, several.stderr
+    assert (tmp_path / "s1" / "run.mcap").stat().st_mtime_ns == before
+    records = [read(tmp_path / f"s{seed}" / "run.mcap") for seed in range(3)]
+    assert [record.provenance["seed"] for record in records] == ["0", "1", "2"]
+    assert all(record.state.contact is not None for record in records)
+    assert np.abs(records[0].state.motion.body_pose - records[2].state.motion.body_pose).max() > 0.1
+    notes = [note for report in records[2].reports for note in report.notes]
+    assert "of a batch of 2 runs, which share its time" in notes
+    assert not any("batch" in note for report in shown.reports for note in report.notes)
+
+
+def test_one_run_that_fails_does_not_stop_the_others(composed, tmp_path, monkeypatch):
+    options = ["human.gaussians=1000", "scene.frames=4", "scene.contact_frame=2", "ablation=no_mpm"]
+    config = to_config(composed(*SMOKE, *options, "stage/motion=none", "stage/coordinate=default"))
+    jobs = [
+        pipeline.Job(
+            replace(config, seed=seed), tmp_path / f"{seed}" / "run.mcap", f"seed: {seed}\n", {"seed": str(seed)}
+        )
+        for seed in range(3)
+    ]
+    looked = pipeline.find_contact
+
+    def diverge(body, *rest, **options):
+        if len(list(tmp_path.glob("*/run.mcap"))) == 1:  # the second
+            monkeypatch.setattr(pipeline, "find_contact", looked)
+            raise RunError("diverged")
+        return looked(body, *rest, **options)
+
+    monkeypatch.setattr(pipeline, "find_contact", diverge)
+    for job in jobs:
+        job.path.parent.mkdir()
+    with pytest.raises(RunError, match="1 of 3 runs failed: seed 1: diverged"):
+        pipeline.run(jobs, make_plan(config))
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == [
+        "0/run.mcap", "1/run.failed.mcap", "2/run.mcap",
+    ]  # fmt: skip
 
 
 def test_finished_run_is_not_computed_again(runs):
@@ -167,7 +213,7 @@ def test_a_video_that_cannot_be_drawn_keeps_the_run(composed, tmp_path, monkeypa
     options = ["human.gaussians=1000", "scene.frames=4", "scene.contact_frame=2", "ablation=no_mpm"]
     config = to_config(composed(*SMOKE, *TINY_VIDEO, *options, "stage/motion=none", "stage/contact=none"))
     with pytest.raises(RunError, match=r"render: splats are not finite; render=none runs without a video"):
-        pipeline.run(config, make_plan(config), tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})
+        pipeline.run([pipeline.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
     assert [file.name for file in tmp_path.iterdir()] == ["run.failed.mcap"]
     failed = read(tmp_path / "run.failed.mcap")
     assert failed.result["status"] == "failed" and len(failed.state.trajectory.positions) == 4

@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, VideoConf, View, WindowedConf
 from hoi.errors import InputError
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH
-from hoi.run import _one_line
+from hoi.run import one_line
 from hoi.validate import to_config
 
 GROUPS = ["human", "object", "material", "scene", "experiment", "ablation", "render"]
@@ -122,10 +122,10 @@ def test_bad_values_are_named(composed, overrides, message):
         ("render.width=wide", ["width", "wide"]),
     ],
 )
-def test_composition_errors_become_one_line(composed, override, words):
+def test_composition_errors_becomeone_line(composed, override, words):
     with pytest.raises((HydraException, OmegaConfBaseException)) as caught:
         composed(override)
-    line = _one_line(caught.value)
+    line = one_line(caught.value)
     assert "\n" not in line
     assert all(word in line for word in words), line
 

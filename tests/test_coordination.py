@@ -2,19 +2,22 @@
 refused.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hoi import movers
+from hoi.approach import shifted
 from hoi.body.skinning import joint_paths, stand_motion
 from hoi.config import HMSDConf
-from hoi.coordination import REACHED, coordinate, find_target
-from hoi.data import Motion, State
+from hoi.coordination import BACK_STEP, REACHED, approach, coordinate, find_target, meet
+from hoi.data import Motion, State, Target
 from hoi.errors import InputError, RunError
-from hoi.motion.synthesis import load_distillation, sample_motion, synthesise
+from hoi.motion.synthesis import load_distillation, sample_motions, synthesise
 from hoi.pipeline import outcome
 from hoi.progress import Stage
-from hoi.scene import build_scene
+from hoi.scene import build_scene, is_apart
 from hoi.validate import to_config
 
 SMALL = ("human.gaussians=2000", "object.max_gaussians=1500", "stage/object=mpm_coarse", "render=none")
@@ -29,14 +32,15 @@ def free_motion(config):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     distillation = load_distillation(scene, conf, "cpu", config.scene.approach == "stand")
-    return scene, distillation, synthesise(scene, distillation, conf, config.seed, "cpu", quiet())
+    return scene, distillation, synthesise(scene, distillation, conf, [config.seed], "cpu", [quiet()])[0]
 
 
 def stage_2(config, distillation, motion, target=None):
     scene, stage = build_scene(config), quiet("coordinate")
     trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
-    target = target or find_target(scene, motion, config)
-    after = coordinate(scene, motion, trajectory, target, distillation, config, "cpu", stage)
+    if target is None:
+        motion, target = meet(scene, motion, trajectory, config)
+    (after,) = coordinate([scene], [motion], trajectory, [target], distillation, config, [config.seed], "cpu", [stage])
     return after, target, stage
 
 
@@ -161,6 +165,25 @@ def test_degenerate_orientation_is_refused(composed, kick, rows):
         stage_2(config, kick[0], broken, target)
 
 
+@pytest.mark.parametrize("arms_out", [False, True])
+def test_whoever_would_start_inside_the_object_stands_back(composed, arms_out):
+    """The hip is to touch a ball at the right: with a hanging arm between, or one too long to step back from."""
+    config = to_config(composed(*SMALL, f"scene.placement.position=[1.2,0,{1.45 if arms_out else 0.9}]"))
+    scene = build_scene(config)
+    trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
+    still, hip = stand_motion(scene.body, scene.frames, scene.fps), Target(0, 10, "scene")
+    if arms_out:
+        t_pose = replace(still, body_pose=np.zeros_like(still.body_pose))
+        with pytest.raises(InputError, match="inside the person at t = 0"):
+            approach(scene, t_pose, trajectory, hip)
+        return
+    placed, same = approach(scene, still, trajectory, hip)
+    assert same == hip
+    assert is_apart(scene, placed)
+    assert not is_apart(scene, shifted(placed, np.array([BACK_STEP, 0.0, 0.0])))
+    np.testing.assert_allclose(placed.translation[:, 2], still.translation[:, 2])
+
+
 def test_without_iterations_nothing_moves(composed):
     config = to_config(composed(*SMALL, "stage.coordinate.iterations=0", "scene.approach=none"))
     scene = build_scene(config)
@@ -174,6 +197,33 @@ def test_seeds_differ_and_repeat(composed):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     distillation = load_distillation(scene, conf, "cpu")
-    first, again, other = (sample_motion(scene, distillation, 2.5, 5, seed).body_pose for seed in (0, 0, 1))
+    first, again, other = (sample_motions(scene, distillation, conf, [seed])[0].body_pose for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.1
+
+
+def test_runs_of_a_batch_are_the_runs_of_their_seeds(composed):
+    """Stages 1 and 2: what a run draws, wants and is told does not depend on the others beside it."""
+    short = ("stage.motion.iterations=3", "stage.motion.sample_steps=4", "stage.coordinate.iterations=3")
+    config = to_config(composed(*SMALL, *short))
+    scene, conf, seeds = build_scene(config), config.stage.motion, (3, 1, 4)
+    assert isinstance(conf, HMSDConf)
+    distillation = load_distillation(scene, conf, "cpu")
+    trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
+
+    def both(seeds) -> tuple[list[Motion], list[Stage]]:
+        stages = [quiet() for _ in seeds]
+        motions = synthesise(scene, distillation, conf, seeds, "cpu", stages)
+        met = [meet(scene, motion, trajectory, config) for motion in motions]
+        motions, targets, scenes = [m for m, _ in met], [target for _, target in met], [scene] * len(seeds)
+        return coordinate(scenes, motions, trajectory, targets, distillation, config, seeds, "cpu", stages), stages
+
+    together, told = both(seeds)
+    for seed, motion, stage in zip(seeds, together, told, strict=True):
+        (alone,), (said,) = both([seed])
+        for part in ("translation", "orientation", "body_pose"):
+            apart = np.abs(getattr(motion, part) - getattr(alone, part))
+            # Adam steps by its rate whichever way a gradient of next to nothing points, and rounding decides that.
+            assert np.quantile(apart, 0.99) < 2e-3 and apart.max() < 6 * 2 * 0.005
+        assert stage.numbers == pytest.approx(said.numbers, abs=5e-3)
+    assert np.abs(together[0].body_pose - together[1].body_pose).max() > 0.1

@@ -10,6 +10,7 @@ from hoi.body.skinning import stand_motion
 from hoi.data import Body
 from hoi.motion import features
 from hoi.motion.distillation import PoseParameters, ScoreDistillation, leg_length, optimise
+from hoi.progress import Stage
 from tests.test_contact import cloud_at
 
 FRAMES = 8
@@ -45,14 +46,14 @@ def distillation_towards(goal: torch.Tensor, rest_joints, dtype=torch.float32) -
         rest_joints=torch.as_tensor(rest_joints, dtype=dtype),
         normalise=lambda raw: raw,
         alphas_cumprod=torch.linspace(0.99, 0.01, 100, dtype=dtype),
-        predict_x0=lambda x_t, t, text, guidance, rescale: goal[None].to(x_t),
+        predict_x0=lambda x_t, t, text, guidance, rescale: goal.expand_as(x_t).to(x_t),
     )
     return ScoreDistillation(prior, torch.zeros(1, 4), 1.0, 0.02, 7.5, 0.0, 0, 100)  # pyright: ignore[reportArgumentType]
 
 
 def perturbed(motion, seed, dtype):
     generator = torch.Generator().manual_seed(seed)
-    pose = PoseParameters.of(motion, dtype=dtype)
+    pose = PoseParameters.of([motion], dtype=dtype)
     for leaf in pose.leaves():
         leaf.data += 0.1 * torch.randn(leaf.shape, generator=generator, dtype=dtype)
     return pose
@@ -63,22 +64,20 @@ def test_descending_hmsd_approaches_the_priors_motion(body):
     start = stand_motion(body, FRAMES, 20.0)
     other = perturbed(start, 1, torch.float32)
     distillation = distillation_towards(torch.zeros(FRAMES, features.FEATURE_COUNT), body.rest_joints)
-    goal = distillation.features(other).detach()
+    goal = distillation.features(other)[0].detach()
     distillation = distillation_towards(goal, body.rest_joints)
-    pose = PoseParameters.of(start)
-    generator = torch.Generator().manual_seed(0)
+    pose = PoseParameters.of([start])
+    generators = [torch.Generator().manual_seed(0)]
 
     def distance() -> float:
         return float((distillation.features(pose) - goal).detach().norm())
 
     before = distance()
-    losses = []
-    optimise(
-        pose, lambda: {"hmsd": distillation.loss(pose, generator)}, {"hmsd": 1.0}, 100, 0.005,
-        lambda i, terms: losses.append(terms["hmsd"]),
-    )  # fmt: skip
+    history = []
+    stage = Stage("motion", lambda units: None, history)
+    optimise(pose, lambda: {"hmsd": distillation.loss(pose, generators)}, {"hmsd": 1.0}, 100, 0.005, [stage])
     assert distance() < 0.3 * before
-    assert len(losses) == 100
+    assert [row["iteration"] for row in history] == list(range(100))
 
 
 def test_gradient_against_finite_differences(body):
@@ -88,7 +87,7 @@ def test_gradient_against_finite_differences(body):
     pose = perturbed(stand_motion(body, FRAMES, 20.0), 2, torch.float64)
 
     def loss() -> torch.Tensor:
-        return distillation.loss(pose, torch.Generator().manual_seed(3))
+        return distillation.loss(pose, [torch.Generator().manual_seed(3)]).sum()
 
     loss().backward()
     step = 1e-6
@@ -108,7 +107,7 @@ def test_weight_is_one_minus_alpha_bar(body):
     distillation = distillation_towards(torch.zeros(FRAMES, features.FEATURE_COUNT), body.rest_joints)
     at_t = [ScoreDistillation(distillation.prior, distillation.text, 1.0, 0.02, 7.5, 0.0, t, t + 1) for t in (0, 99)]
     pose = perturbed(stand_motion(body, FRAMES, 20.0), 5, torch.float32)
-    early, late = (float(d.loss(pose, torch.Generator().manual_seed(0))) for d in at_t)
+    early, late = (float(d.loss(pose, [torch.Generator().manual_seed(0)])) for d in at_t)
     assert late / early == pytest.approx(0.99 / 0.01, rel=1e-4)
 
 

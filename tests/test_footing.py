@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from hoi.footing import Footing, Stance, slide, stances
+from hoi.footing import FEET, Footing, Stance, slide, stances, sunk
 
 FPS = 20.0
 STANDING = np.full(24, 0.5)
@@ -52,3 +52,13 @@ def test_gradient_of_the_loss():
     footing = Footing(walk(), [Stance(10, 2, 5), Stance(7, 0, 3)])
     joints = torch.randn(12, 24, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     assert torch.autograd.gradcheck(footing.loss, [joints.requires_grad_()])
+
+
+def test_feet_in_the_ground_cost_the_square_of_their_depth():
+    standing = torch.zeros(24)
+    standing[list(FEET)] = torch.tensor([0.08, 0.08, 0.02, 0.02])
+    joints = standing[None, None, :, None].repeat(2, 5, 1, 3)
+    joints[..., 11, 2] += 0.3  # lifted
+    assert float(sunk(joints, standing).abs().max()) == 0
+    joints[1, 2, 7, 2] -= 0.1
+    torch.testing.assert_close(sunk(joints, standing), torch.tensor([0.0, 0.1**2 / 5]))

@@ -33,7 +33,12 @@ def test_it_learns_which_sentence_describes_a_motion(tmp_path):
 
     path = tmp_path / "judge" / "evaluator.safetensors"
     save_evaluator(evaluator, path)
-    torch.testing.assert_close(load_evaluator(path).embed_motion(unseen.features), motions)
+    again = load_evaluator(path)
+    torch.testing.assert_close(again.embed_motion(unseen.features), motions)
+
+    assert float(again.strangeness(data.features).max()) < 0.3
+    noise = torch.randn(unseen.features.shape, generator=torch.Generator().manual_seed(2))
+    assert float(again.strangeness(3 * noise).min()) > float(again.strangeness(unseen.features).max())
 
 
 def test_sentences_that_fit_as_well_are_no_mistake():

@@ -146,7 +146,7 @@ def test_a_failed_run_is_recorded_as_failed(composed, tmp_path, monkeypatch):
 
     monkeypatch.setattr(movers, "mover", lambda config, device: diverge)
     with pytest.raises(RunError, match="diverged"):
-        pipeline.run(config, make_plan(config), tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})
+        pipeline.run([pipeline.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
     assert [file.name for file in tmp_path.iterdir()] == ["run.failed.mcap"]
     failed = read(tmp_path / "run.failed.mcap")
     assert failed.result["status"] == "failed" and "diverged" in failed.result["outcome"]

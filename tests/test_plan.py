@@ -31,7 +31,7 @@ def omitted(plan) -> set[str]:
     ],
 )
 def test_each_ablation_leaves_out_its_part(plan, ablation, variant, without):
-    """Stage 3 is not built: a full run says that it goes without."""
+    """Without a video prior in the package a full run says that it goes without."""
     made = plan(f"ablation={ablation}")
     assert made.variant == variant
     assert without | {"refine"} <= omitted(made)

@@ -1,12 +1,14 @@
 """Stage 1 with the embedded prior, on people of different size; and the random streams."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hoi.body.skinning import joint_paths, posed_means
 from hoi.config import HMSDConf
 from hoi.errors import RunError
-from hoi.motion.synthesis import load_distillation, sample_motion
+from hoi.motion.synthesis import load_distillation, sample_motions
 from hoi.scene import build_scene
 from hoi.streams import stream_seed
 from hoi.validate import to_config
@@ -19,8 +21,8 @@ def test_sampled_kick_fits_the_person(composed, person):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     distillation = load_distillation(scene, conf, "cpu")
-    motion = sample_motion(scene, distillation, conf.sample_guidance, conf.sample_steps, seed=1)
-    again = sample_motion(scene, distillation, conf.sample_guidance, conf.sample_steps, seed=1)
+    (motion,) = sample_motions(scene, distillation, conf, [1])
+    (again,) = sample_motions(scene, distillation, conf, [1])
     np.testing.assert_array_equal(motion.body_pose, again.body_pose)
     joints = joint_paths(scene.body, motion)
     np.testing.assert_allclose(motion.translation[0, :2], 0, atol=1e-6)
@@ -41,8 +43,8 @@ def test_streams_are_named_and_stable():
 
 
 def test_sample_that_is_not_finite_fails_the_run(composed):
-    config = to_config(composed("human.gaussians=2000"))
+    config = to_config(composed("human.gaussians=2000", "stage.motion.sample_steps=2"))
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSDConf)
     with pytest.raises(RunError, match="not finite; lower"):
-        sample_motion(scene, load_distillation(scene, conf, "cpu"), guidance=float("inf"), steps=2, seed=0)
+        sample_motions(scene, load_distillation(scene, conf, "cpu"), replace(conf, sample_guidance=np.inf), [0])

@@ -113,17 +113,14 @@ def nearest_sentence(data: TrainingSet, embed: Callable[[list[str]], Tensor], se
 
 def drawn_from(prior: MotionPrior, sampler: str, steps: int, guidance: float, rescale: float, seed: int) -> Source:
     """Samples of a prior, in so many steps: "ancestral", with fresh noise in each, or "ddim", without."""
-    timesteps = torch.linspace(0, prior.timesteps - 1, min(steps, prior.timesteps)).round().long()
 
     def draw(text: Tensor, generator: torch.Generator) -> Tensor:
         def predict(x: Tensor, t: Tensor) -> Tensor:
             return prior.predict_x0(x, t, text, guidance, rescale)
 
         shape = (len(text), FRAMES, FEATURE_COUNT)
-        if sampler == "ddim":
-            return ddim_sample(predict, shape, prior.alphas_cumprod, generator, len(timesteps), prior.device)
-        chosen = prior.alphas_cumprod[timesteps]
-        return ancestral_sample(lambda x, t: predict(x, timesteps[t]), shape, chosen, generator, prior.device)
+        sample = ddim_sample if sampler == "ddim" else ancestral_sample
+        return sample(predict, shape, prior.alphas_cumprod, generator, min(steps, prior.timesteps), prior.device)
 
     def answer(cases: Sequence[Case]) -> Tensor:
         generator = torch.Generator().manual_seed(seed)

@@ -25,26 +25,36 @@ def interpolate_motion(motion: Motion, frames: ArrayLike) -> Motion:
     Raises:
         ValueError: a frame lies outside the motion.
     """
-    at = np.atleast_1d(np.asarray(frames, dtype=np.float64))
     last = len(motion) - 1
+    at = np.atleast_1d(np.asarray(frames, dtype=np.float64))
     if len(at) and not (at.min() >= -SLACK and at.max() <= last + SLACK):
         raise ValueError(f"frames from {at.min():g} to {at.max():g}: must lie in [0, {last}]")
+    values = (motion.translation, motion.orientation, motion.body_pose)
+    translation, orientation, body_pose = (torch.as_tensor(value, dtype=torch.float64) for value in values)
+    parts = interpolate_pose(translation, orientation, body_pose, at)
+    dtype = np.asarray(motion.translation).dtype
+    return Motion(*(part.numpy().astype(dtype) for part in parts), fps=motion.fps)
+
+
+def interpolate_pose(
+    translation: Tensor, orientation: Tensor, body_pose: Tensor, at: np.ndarray
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What `interpolate_motion` does, of a motion's parameters (see `hoi.data.Motion`) and differentiable in them.
+
+    Args:
+        at: frames (F,), those outside the motion are taken as its first or last.
+    """
+    last = len(translation) - 1
     at = at.clip(0, last)
     before = np.floor(at).astype(np.intp)
     after = np.minimum(before + 1, last)
-    share = torch.from_numpy(at - before)
-
-    translation = torch.as_tensor(motion.translation, dtype=torch.float64)
-    orientation = rotation_from_6d(torch.as_tensor(motion.orientation, dtype=torch.float64))
-    body_pose = torch.as_tensor(motion.body_pose, dtype=torch.float64)
-    root = _slerp(roma.rotmat_to_unitquat(orientation), before, after, share)
+    share = torch.from_numpy(at - before).to(translation)
+    root = _slerp(roma.rotmat_to_unitquat(rotation_from_6d(orientation)), before, after, share)
     joints = _slerp(roma.rotvec_to_unitquat(body_pose), before, after, share[:, None])
-    dtype = np.asarray(motion.translation).dtype
-    return Motion(
-        translation=torch.lerp(translation[before], translation[after], share[:, None]).numpy().astype(dtype),
-        orientation=rotation_to_6d(roma.unitquat_to_rotmat(root)).numpy().astype(dtype),
-        body_pose=roma.unitquat_to_rotvec(joints).numpy().astype(dtype),
-        fps=motion.fps,
+    return (
+        torch.lerp(translation[before], translation[after], share[:, None]),
+        rotation_to_6d(roma.unitquat_to_rotmat(root)),
+        roma.unitquat_to_rotvec(joints),
     )
 
 

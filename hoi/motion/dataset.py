@@ -41,9 +41,9 @@ HELD_OUT = (
 one (mirrored, cut otherwise, at another tempo, captioned otherwise) is on the other side."""
 
 STRIKE_WEIGHTS = {
-    "kick_soccer": 4.5, "kick_front": 3.5, "kick_high": 1.5, "kick_side": 2.0, "kick_spin": 1.2, "kick_crescent": 0.4,
-    "karate_knee": 2.2, "karate_strike": 1.3, "punch": 2.5, "punch_jab": 2.2, "punch_cross": 1.8, "punch_hook": 1.4,
-    "punch_combo": 0.8, "fight_combo": 0.4, "punch_slow": 0.6, "punch_swing": 0.6, "push": 2.8, "push_heavy": 1.0,
+    "kick_soccer": 3.6, "kick_front": 3.5, "kick_high": 1.5, "kick_side": 2.0, "kick_spin": 1.2, "kick_crescent": 0.4,
+    "karate_knee": 2.0, "karate_strike": 1.3, "punch": 3.4, "punch_jab": 2.8, "punch_cross": 2.0, "punch_hook": 2.0,
+    "punch_combo": 0.8, "fight_combo": 0.4, "punch_slow": 1.6, "punch_swing": 0.6, "push": 2.8, "push_heavy": 1.0,
     "push_one_hand": 0.8, "throw": 0.9, "throw_basketball": 0.7, "shoot_basketball": 0.6,
 }  # fmt: skip
 """How often each kind of strike is drawn, relative to the others."""
@@ -54,6 +54,10 @@ KNEE_TEMPO = 1.5
 SIDES = ("left", "right")
 FEET, KNEES, HANDS = (10, 11), (4, 5), (22, 23)
 """Joints of a limb, left and right."""
+OTHER_HAND_STRIKES = 0.6
+"""A hand this fast, relative to the peak of the punch that a clip is about, punches too."""
+PUNCH_FRAMES = 4
+"""So near its peak a punch is one motion of both arms."""
 NAMED_SIDE_FASTER = 0.9
 """How fast the named limb must be in a window, relative to the other side's."""
 KEYFRAMED_WEIGHT = 0.5
@@ -226,11 +230,24 @@ def joints_of(clip: Clip, rest_joints: Tensor) -> Array:
     return joint_positions(torch.from_numpy(clip.translation), root, poses[:, 1:], rest_joints).numpy()
 
 
+def single_punch(clip: Clip, rest_joints: Tensor) -> Clip:
+    """A clip of a punch, cut off where the other hand punches: a series is cut into clips that reach into the next."""
+    if not clip.label.startswith("punch") or clip.side not in SIDES or len(clip.strike_frames) != 1:
+        return clip
+    speed = np.linalg.norm(np.diff(joints_of(clip, rest_joints)[:, HANDS], axis=0), axis=-1)
+    (peak,), named = clip.strike_frames, SIDES.index(clip.side)
+    punches = np.flatnonzero(speed[:, 1 - named] > OTHER_HAND_STRIKES * speed[max(peak - 1, 0) : peak + 2, named].max())
+    first = max((int(frame) + 2 for frame in punches if frame < peak - PUNCH_FRAMES), default=0)
+    last = min((int(frame) for frame in punches if frame > peak + PUNCH_FRAMES), default=len(clip.poses))
+    return replace(
+        clip, poses=clip.poses[first:last], translation=clip.translation[first:last], strike_frames=(peak - first,)
+    )
+
+
 def windows_of(clip: Clip, rest_joints: Tensor) -> list[int]:
     """First frames of a clip's windows; of a strike with a side only those, if any, that show it.
 
-    A series of punches is cut into clips that each reach into the next punch, which is the other hand's: where that is
-    the faster, the caption would be wrong.
+    Where the other side is the faster, the caption would be wrong.
     """
     starts = window_starts(len(clip.poses), clip.strike_frames)
     if not clip.strike_frames or clip.side not in SIDES:
@@ -316,6 +333,7 @@ def build_training_set(clips: list[Clip], rest_joints: Tensor, sentences: dict[s
     Raises:
         InputError: there is no clip.
     """
+    clips = [single_punch(clip, rest_joints) for clip in clips]
     both = [*clips, *(mirror(clip) for clip in clips)]
     rows: dict[str, int] = {"": 0}
     poses, translations, weights, choices, kinds = [], [], [], [], []

@@ -5,7 +5,7 @@ slightly noised.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -47,34 +47,57 @@ def posterior(x0: Tensor, x_t: Tensor, t: int, alphas_cumprod: Tensor) -> tuple[
     return mean, beta * (1 - previous) / (1 - abar)
 
 
+Generators = torch.Generator | Sequence[torch.Generator]
+"""Of the noise, on the CPU, so that every device draws the same: one, or one a row, whose rows are then the same in
+whatever batch."""
+
+
+def _noise(shape: tuple[int, int, int], generators: Generators) -> Tensor:
+    if isinstance(generators, torch.Generator):
+        return torch.randn(shape, generator=generators)
+    return torch.stack([torch.randn(shape[1:], generator=each) for each in generators])
+
+
+def _times(timesteps: int, steps: int | None) -> list[int]:
+    """Evenly spaced timesteps, the last first, 0 last; all of them for None."""
+    steps = timesteps if steps is None else steps
+    if not 1 <= steps <= timesteps:
+        raise ValueError(f"steps must be in [1, {timesteps}], got {steps}")
+    return torch.linspace(timesteps - 1, 0, steps).round().int().tolist()
+
+
 @torch.no_grad()
 def ancestral_sample(
     predict_x0: Callable[[Tensor, Tensor], Tensor],
     shape: tuple[int, int, int],
     alphas_cumprod: Tensor,
-    generator: torch.Generator,
+    generators: Generators,
+    steps: int | None = None,
     device: torch.device | str = "cpu",
     stmc_compat_sigma: bool = False,
 ) -> Tensor:
-    """Sample x0 (B, T, F) from noise.
+    """Sample x0 (B, T, F) from noise, with fresh noise at every step.
 
     Args:
         predict_x0: (x_t (B, T, F), t (B,)) -> x0, guidance included.
         shape: (B, T, F).
         alphas_cumprod: abar, (timesteps,).
-        generator: of the noise, on the CPU, so that every device draws the same.
+        generators: of the noise.
+        steps: predictions, at evenly spaced timesteps from the last to 0; None: at every timestep.
         device: where x lives.
         stmc_compat_sigma: scale the noise by the posterior *variance*, as the published code does, not by its root.
     """
-    x = torch.randn(shape, generator=generator).to(device)
-    for t in range(len(alphas_cumprod) - 1, -1, -1):
+    times = _times(len(alphas_cumprod), steps)
+    kept = alphas_cumprod[times[::-1]]  # the schedule of the steps taken
+    x = _noise(shape, generators).to(device)
+    for at, t in zip(range(len(times) - 1, -1, -1), times, strict=True):
         x0 = predict_x0(x, torch.full(shape[:1], t, device=device))
-        if t == 0:
+        if at == 0:
             return x0
-        mean, variance = posterior(x0, x, t, alphas_cumprod)
+        mean, variance = posterior(x0, x, at, kept)
         sigma = variance if stmc_compat_sigma else math.sqrt(variance)
-        x = mean + sigma * torch.randn(shape, generator=generator).to(device)
-    raise ValueError("alphas_cumprod is empty")
+        x = mean + sigma * _noise(shape, generators).to(device)
+    raise AssertionError("unreachable: there is at least one step")
 
 
 @torch.no_grad()
@@ -82,20 +105,16 @@ def ddim_sample(
     predict_x0: Callable[[Tensor, Tensor], Tensor],
     shape: tuple[int, int, int],
     alphas_cumprod: Tensor,
-    generator: torch.Generator,
-    steps: int,
+    generators: Generators,
+    steps: int | None = None,
     device: torch.device | str = "cpu",
 ) -> Tensor:
-    """Sample x0 (B, T, F) from noise along the deterministic path, in few steps (Song et al. 2021, DDIM, eta = 0).
+    """Sample x0 (B, T, F) from noise along the deterministic path (Song et al. 2021, DDIM, eta = 0).
 
-    Args:
-        steps: predictions, at evenly spaced timesteps from the last to 0; at most as many as there are timesteps.
-        predict_x0, shape, alphas_cumprod, generator, device: as in `ancestral_sample`.
+    The arguments are those of `ancestral_sample`.
     """
-    if not 1 <= steps <= len(alphas_cumprod):
-        raise ValueError(f"steps must be in [1, {len(alphas_cumprod)}], got {steps}")
-    x = torch.randn(shape, generator=generator).to(device)
-    times = torch.linspace(len(alphas_cumprod) - 1, 0, steps).round().int().tolist()
+    times = _times(len(alphas_cumprod), steps)
+    x = _noise(shape, generators).to(device)
     for t, following in zip(times, [*times[1:], None], strict=True):
         x0 = predict_x0(x, torch.full(shape[:1], t, device=device))
         if following is None:
@@ -103,4 +122,4 @@ def ddim_sample(
         abar, after = float(alphas_cumprod[t]), float(alphas_cumprod[following])
         noise = (x - math.sqrt(abar) * x0) / math.sqrt(1 - abar)
         x = math.sqrt(after) * x0 + math.sqrt(1 - after) * noise
-    raise ValueError("alphas_cumprod is empty")
+    raise AssertionError("unreachable: there is at least one step")

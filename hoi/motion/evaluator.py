@@ -9,7 +9,7 @@ knows are a few dozen kinds of motion and their sides.
 
 import argparse
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -28,6 +28,8 @@ FORMAT = "hoi motion evaluator 1"
 SHIPPED = Path(__file__).parent / "weights" / FILE_NAME
 DIMENSION, WIDTH = 64, 128
 TEMPERATURE = 0.1
+KNOWN = 1024
+"""Real motions that it remembers, for `Evaluator.strangeness`."""
 STD_FLOOR = 0.02
 
 
@@ -65,6 +67,8 @@ class Evaluator:
 
     towers: Towers
     text_encoder: TextEncoder
+    known: Tensor
+    """Embeddings of real motions, (K, 64)."""
 
     @torch.no_grad()
     def embed_motion(self, features: Tensor) -> Tensor:
@@ -75,6 +79,10 @@ class Evaluator:
     def embed_text(self, sentences: list[str]) -> Tensor:
         """(B, 64)."""
         return nn.functional.normalize(self.towers.embed_text(self.text_encoder.embed(sentences)), dim=-1)
+
+    def strangeness(self, features: Tensor) -> Tensor:
+        """Distance of motions to the nearest real one, by their embeddings, (B,): 0 to 2, lower is more natural."""
+        return torch.cdist(self.embed_motion(features), self.known).amin(-1)
 
 
 def contrast(motion: Tensor, text: Tensor, fits: Tensor) -> Tensor:
@@ -119,13 +127,16 @@ def train_evaluator(data: TrainingSet, steps: int = 600, batch: int = 192, seed:
         loss.backward()
         optimiser.step()
         schedule.step()
-    return Evaluator(towers.eval().requires_grad_(False), encoder)
+    evaluator = Evaluator(towers.eval().requires_grad_(False), encoder, torch.empty(0, DIMENSION))
+    real = torch.multinomial(data.weights.sqrt(), min(KNOWN, len(data.features)), generator=generator)
+    return replace(evaluator, known=evaluator.embed_motion(data.features[real]))
 
 
 def save_evaluator(evaluator: Evaluator, path: Path) -> None:
     """One safetensors file with what it was made with."""
     path.parent.mkdir(parents=True, exist_ok=True)
     state = {name: value.contiguous() for name, value in evaluator.towers.state_dict().items()}
+    state["known"] = evaluator.known.contiguous()
     save_file(state, path, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256})
 
 
@@ -147,11 +158,12 @@ def load_evaluator(path: Path = SHIPPED, text_cache: Path | None = None) -> Eval
     if noted.get("text_encoder") != encoder.sha256:
         raise InputError(f"evaluator: {path} was trained with another text encoder than the one here")
     try:
+        known = state.pop("known")
         towers = Towers(state["text.0.weight"].shape[1])
         towers.load_state_dict(state)
     except (KeyError, RuntimeError) as error:
         raise InputError(f"evaluator: {path} is of another architecture: {str(error).splitlines()[0]}") from error
-    return Evaluator(towers.eval().requires_grad_(False), encoder)
+    return Evaluator(towers.eval().requires_grad_(False), encoder, known)
 
 
 def main() -> int:

@@ -113,8 +113,8 @@ class MotionPrior:
             (1, frames, FEATURE_COUNT),
             self.alphas_cumprod,
             generator,
-            self.device,
-            stmc_compat_sigma,
+            device=self.device,
+            stmc_compat_sigma=stmc_compat_sigma,
         )
         return self.denormalise(x0)[0]
 

@@ -201,8 +201,48 @@ def _cardboard(points: Array, normals: Array) -> Array:
     return rgb
 
 
+def _beach_ball(points: Array, normals: Array) -> Array:
+    """Six gores, every other one white, and a white cap at either end."""
+    x, y, z = (points / np.linalg.norm(points, axis=1, keepdims=True) @ _TILT).T
+    colours = np.array([[0.86, 0.16, 0.14], [0.95, 0.95, 0.93], [0.98, 0.78, 0.10],
+                        [0.95, 0.95, 0.93], [0.10, 0.40, 0.80], [0.95, 0.95, 0.93]])  # fmt: skip
+    rgb = colours[(np.arctan2(y, x) // (np.pi / 3)).astype(int) % 6]
+    rgb[np.abs(z) > 0.95] = [0.95, 0.95, 0.93]
+    return rgb
+
+
+def _speckled(colour: tuple[float, float, float], depth: float, grain: float) -> Pattern:
+    """One colour, lighter and darker from grain to grain [m], edges a little paler: foam, clay, snow."""
+
+    def pattern(points: Array, normals: Array) -> Array:
+        cells = np.floor(points / grain).astype(np.int64)
+        noise = np.sin(cells @ np.array([127.1, 311.7, 74.7])) * 43758.5453
+        rgb = np.array(colour) * (1 + depth * (2 * (noise - np.floor(noise)) - 1))[:, None]
+        edge = np.sort(np.abs(points), 1)[:, 1] > 0.47 * np.ptp(points, axis=0).max()
+        rgb[edge] = 0.75 * rgb[edge] + 0.25
+        return rgb.clip(0, 1)
+
+    return pattern
+
+
+def _jelly(points: Array, normals: Array) -> Array:
+    """Red, paler towards the top and gleaming along the upper edges, on a stand of planks."""
+    half = JELLY_BLOCK_EXTENT[2] / 2
+    height = ((points[:, 2] / half + 1) / 2 - (1 - JELLY_SHARE)) / JELLY_SHARE
+    rgb = np.array([0.62, 0.04, 0.08]) + height[:, None] * np.array([0.26, 0.10, 0.10])
+    side = np.sort(np.abs(points[:, :2]), 1)[:, 1] > JELLY_BLOCK_EXTENT[0] / 2 - 0.012
+    rgb[side & (height > 0.94)] = [0.97, 0.62, 0.60]
+    planks = np.abs(points[:, 2] / 0.12 - np.rint(points[:, 2] / 0.12)) > 0.46
+    rgb[height < 0] = [0.60, 0.44, 0.28]
+    rgb[(height < 0) & planks] = [0.36, 0.25, 0.15]
+    return rgb
+
+
 FILE_CABINET_EXTENT = (0.46, 0.62, 1.0)
 CARDBOARD_BOX_EXTENT = (0.4, 0.4, 0.4)
+JELLY_BLOCK_EXTENT = (0.4, 0.4, 1.2)
+JELLY_SHARE = 0.3
+"""Of its height; the rest is the stand."""
 
 SHAPES = {
     "soccer_ball": Shape("ball", (0.22, 0.22, 0.22), _soccer),
@@ -210,4 +250,9 @@ SHAPES = {
     "blue_ball": Shape("ball", (0.22, 0.22, 0.22), _blue),
     "file_cabinet": Shape("box", FILE_CABINET_EXTENT, _cabinet, front_detail=1.7),
     "cardboard_box": Shape("box", CARDBOARD_BOX_EXTENT, _cardboard),
+    "beach_ball": Shape("ball", (0.4, 0.4, 0.4), _beach_ball),
+    "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012)),
+    "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly),
+    "clay_block": Shape("box", (0.28, 0.28, 0.75), _speckled((0.58, 0.36, 0.24), 0.10, 0.025)),
+    "snow_block": Shape("box", (0.45, 0.45, 1.1), _speckled((0.90, 0.93, 0.97), 0.04, 0.02)),
 }

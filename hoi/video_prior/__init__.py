@@ -1,0 +1,84 @@
+"""The video prior that stage 3 distils from: p(video | prompt) as a diffusion model with v-prediction.
+
+`sqrt(abar_t) z + sqrt(1 - abar_t) eps = z_t` and `v = sqrt(abar_t) eps - sqrt(1 - abar_t) z` (Salimans & Ho 2022), with
+timesteps t = 0 .. 999 for every prior.
+"""
+
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from hoi.choices import VideoPriorKind
+from hoi.config import VideoSDSConf
+
+
+class VideoPrior(Protocol):
+    """What `hoi.refine.sds` asks of a prior. Nothing in it is trained there, and no gradient flows through `velocity`.
+
+    Whatever the prior, pictures are RGB in [0, 1], channels first.
+    """
+
+    @property
+    def name(self) -> str:
+        """For the report and the record: which model, from where."""
+        ...
+
+    @property
+    def alphas_cumprod(self) -> Tensor:
+        """abar_t, float64, (1000,); may be 0 at the end."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the pictures it wants [pixel]."""
+        ...
+
+    @property
+    def crop(self) -> float | None:
+        """Half of what its pictures show around the point of contact, on their shorter side [m]; None: the action."""
+        ...
+
+    def prepare(self, prompt: str, negative_prompt: str) -> None:
+        """Work out the text's features, once; the text encoder is freed. Before the first `velocity`."""
+        ...
+
+    def clip_frames(self, first: int, last: int, total: int) -> list[int]:
+        """Scene frames of the clip it wants to see of a scene of `total` frames whose frames first..last change.
+
+        In order, all of first..last among them; a frame may be there more than once (the ends are held).
+        """
+        ...
+
+    def encode(self, video: Tensor, changing: slice = slice(None)) -> Tensor:
+        """z: latents, of any shape, of a clip (F, 3, height, width); differentiable.
+
+        Args:
+            changing: places in the clip that carry gradients; the prior may save the memory of the others' graph.
+        """
+        ...
+
+    def velocity(self, latents: Tensor, t: int, guidance: float, rescale: float = 0.0) -> Tensor:
+        """v(z_t; t, prompt) with classifier-free guidance against the negative prompt, of the latents' shape.
+
+        Args:
+            latents: z_t.
+            guidance: scale g of `hoi.motion.diffusion.guide`; 1 is the prompt's prediction alone.
+            rescale: of the guidance, see there.
+        """
+        ...
+
+
+def load_video_prior(conf: VideoSDSConf, device: torch.device | str) -> VideoPrior:
+    """The prior that the config names.
+
+    Raises:
+        InputError: weights or a package are missing, or are another model's; one line with the remedy.
+    """
+    if conf.prior is VideoPriorKind.cogvideox:
+        from hoi.video_prior.cogvideox import load_cogvideox
+
+        return load_cogvideox(conf, device)
+    from hoi.video_prior.embedded import load_embedded
+
+    return load_embedded(conf.checkpoint, device)

@@ -1,0 +1,321 @@
+"""Train the embedded video prior.
+
+    python -m hoi.video_prior.train --out OUT --minutes 60
+
+First makes the training clips, which stay in OUT and are made once. OUT then holds video_prior.safetensors, which
+`load_embedded(OUT)` reads, beside training.json, curve.png, log.jsonl and checkpoint.pt, from which `--resume` goes on.
+"""
+
+import argparse
+import json
+import math
+import shlex
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hoi.errors import InputError
+from hoi.motion.text import minilm
+from hoi.motion.train import write_atomically
+from hoi.video_prior.captions import FLAWED_SHARE, SENTENCES, captions
+from hoi.video_prior.clips import Clips, provide_clips
+from hoi.video_prior.contacts import KINDS, LIMBS, OBJECT_SHARES, PEOPLE
+from hoi.video_prior.denoiser import TIMESTEPS, Architecture, VideoDenoiser, alphas_cumprod
+from hoi.video_prior.embedded import to_latents
+from hoi.video_prior.publish import publish
+
+MIRRORED_LIMBS = (1, 0, 3, 2, 5, 4, 6)
+"""Of `LIMBS`, as a clip shows them in a mirror."""
+SAID = tuple(SENTENCES)
+CENTRE_SPREAD, CENTRE_WEIGHT = 0.18, 3.0
+"""Where the contact is the loss weighs more: a Gaussian of this width, in shares of the picture, on top of 1."""
+HELD_OUT_TIMES = (100, 250, 400, 600)
+LOG_EVERY, TEST_EVERY = 50, 300
+STATISTICS_CLIPS = 256
+LEAST_VARIANCE = 1e-4
+"""About what rounding to 8 bits leaves."""
+
+
+class Words:
+    """Embeddings of every caption, and which of them suit a clip."""
+
+    def __init__(self) -> None:
+        rows: dict[str, int] = {"": 0}
+        self.choices: dict[tuple[int, int, int, int], list[int]] = {}
+        for limb in range(len(LIMBS)):
+            for shape in range(len(OBJECT_SHARES)):
+                for person in range(len(PEOPLE)):
+                    for said, key in enumerate(SAID):
+                        found = captions(limb, shape, person, key)
+                        self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
+        embedded = minilm().embed(list(rows))
+        self.mean, self.std = embedded.mean(0), embedded.std(0)
+        self.raw = embedded
+        self.rows = (embedded - self.mean) / self.std
+
+    def normalise(self, mean: Tensor, std: Tensor) -> None:
+        self.mean, self.std = mean, std
+        self.rows = (self.raw - mean) / std
+
+
+class Training:
+    """The state of one training: denoiser, its moving average, optimiser, counters."""
+
+    def __init__(self, clips: Clips, options: argparse.Namespace) -> None:
+        torch.manual_seed(options.seed)
+        self.options, self.words = options, Words()
+        held_out = max(1, int(options.held_out * len(clips)))
+        self.clips, self.video = clips, torch.from_numpy(clips.video)
+        self.training, self.held_out = range(len(clips) - held_out), range(len(clips) - held_out, len(clips))
+        architecture = Architecture(channels=tuple(options.channels), text_dim=self.words.rows.shape[1])
+        self.denoiser = VideoDenoiser(architecture)
+        self.denoiser.variance.copy_(self.variance())
+        self.average = VideoDenoiser(architecture).requires_grad_(False).eval()
+        self.average.load_state_dict(self.denoiser.state_dict())
+        self.optimiser = torch.optim.AdamW(
+            self.denoiser.parameters(), lr=options.lr, betas=(0.9, 0.99), weight_decay=0.01, fused=True
+        )
+        self.alphas_cumprod = alphas_cumprod()
+        self.generator = torch.Generator().manual_seed(options.seed)
+        places = architecture.size // architecture.patch
+        from_centre = (torch.arange(places) + 0.5) / places - 0.5
+        bell = torch.exp(-from_centre.square() / (2 * CENTRE_SPREAD**2))
+        weight = 1 + CENTRE_WEIGHT * bell[:, None] * bell
+        self.weight = weight / weight.mean()
+        self.step, self.seconds = 0, 0.0
+
+    def variance(self) -> Tensor:
+        """Of the latents of the training clips, (C,); of some of them."""
+        some = self.training[:: max(1, len(self.training) // STATISTICS_CLIPS)]
+        z = self.latents(list(some), [0] * len(some), [False] * len(some))
+        return z.square().mean((0, 1, 3, 4)).clamp(min=LEAST_VARIANCE)
+
+    def progress(self) -> float:
+        """How much of the training is done, by steps or by time, whichever is further."""
+        done = self.step / self.options.steps
+        return max(done, self.seconds / (60 * self.options.minutes)) if self.options.minutes else done
+
+    def learning_rate(self) -> float:
+        """Linear warm-up, then half a cosine down to a hundredth."""
+        warm = min(1.0, (self.step + 1) / self.options.warmup)
+        return self.options.lr * warm * max(0.01, 0.5 * (1 + math.cos(math.pi * min(1.0, self.progress()))))
+
+    def _draw(self, high: int) -> int:
+        return int(torch.randint(high, (), generator=self.generator))
+
+    def _chance(self, share: float) -> bool:
+        return float(torch.rand((), generator=self.generator)) < share
+
+    def _caption(self, row: int, kind: int, mirrored: bool) -> int:
+        """A caption that suits; now and then none."""
+        if self._chance(self.options.drop_text):
+            return 0
+        limb, clips = int(self.clips.limb[row]), self.clips
+        said = SAID.index("flawed") if kind > 0 and self._chance(FLAWED_SHARE) else kind
+        limb = MIRRORED_LIMBS[limb] if mirrored else limb
+        choices = self.words.choices[limb, int(clips.shape[row]), int(clips.person[row]), said]
+        return choices[self._draw(len(choices))]
+
+    def latents(self, rows: list[int], kinds: list[int], mirrored: list[bool]) -> Tensor:
+        """(B, F, C, h, w)."""
+        video = self.video[rows, kinds].float().div_(255).movedim(-1, 2)
+        flipped = torch.tensor(mirrored)[:, None, None, None, None]
+        return to_latents(torch.where(flipped, video.flip(-1), video), self.denoiser.architecture.patch)
+
+    def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """z, noise, t and text. Each clean clip stands beside a flawed one of the same view, with the same noise."""
+        options = self.options
+        kinds_of = [0] if options.clean_only else [0, None]
+        rows, kinds, mirrored, words = [], [], [], []
+        for _ in range(options.batch // len(kinds_of)):
+            row, flip = self.training[self._draw(len(self.training))], self._chance(0.5)
+            for given in kinds_of:
+                kind = 1 + self._draw(len(KINDS) - 1) if given is None else given
+                rows.append(row)
+                kinds.append(kind)
+                mirrored.append(flip)
+                words.append(self._caption(row, kind, flip))
+        z, views = self.latents(rows, kinds, mirrored), len(rows) // len(kinds_of)
+        noise = torch.randn((views, *z.shape[1:]), generator=self.generator)
+        # More of the little noise with which a contact can be told from a near miss.
+        t = (TIMESTEPS * torch.rand(views, generator=self.generator) ** options.time_power).long()
+        text = self.words.rows[words]
+        text = text + options.text_noise * torch.randn(text.shape, generator=self.generator)
+        return z, noise.repeat_interleave(len(kinds_of), 0), t.repeat_interleave(len(kinds_of), 0), text
+
+    def losses(
+        self, denoiser: VideoDenoiser, z: Tensor, noise: Tensor, t: Tensor, text: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Squared errors of v of each clip, (B,): weighted towards the contact, and plain."""
+        alpha_bar = self.alphas_cumprod.to(z)[t][:, None, None, None, None]
+        z_t = alpha_bar.sqrt() * z + (1 - alpha_bar).sqrt() * noise
+        v = alpha_bar.sqrt() * noise - (1 - alpha_bar).sqrt() * z
+        error = (denoiser(z_t, t, text) - v).square()
+        # Half way to equal weights of all channels: else the mean colours of patches are all that is learned.
+        spread = denoiser.unknown(t).sqrt()
+        weight = self.weight / spread * (spread.mean(2, keepdim=True))
+        return (error * weight).mean((1, 2, 3, 4)), error.mean((1, 2, 3, 4))
+
+    def advance(self) -> float:
+        """One optimiser step; returns the plain loss."""
+        batch = self.batch()
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.learning_rate()
+        weighted, plain = self.losses(self.denoiser, *batch)
+        self.optimiser.zero_grad()
+        weighted.mean().backward()
+        torch.nn.utils.clip_grad_norm_(self.denoiser.parameters(), 1.0)
+        self.optimiser.step()
+        self.step += 1
+        decay = min(self.options.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for slow, fast in zip(self.average.parameters(), self.denoiser.parameters(), strict=True):
+                slow.lerp_(fast, 1 - decay)
+        return float(plain.mean().detach())
+
+    @torch.no_grad()
+    def test(self) -> dict[str, float]:
+        """On held-out clips: the loss, and by how much it is larger under the caption of another kind.
+
+        That contrast is what guidance against the negative prompt lives on.
+        """
+        count = min(self.options.test_clips, len(self.held_out))
+        rows = [self.held_out[i * len(self.held_out) // count] for i in range(count)]
+        generator = torch.Generator().manual_seed(0)
+        right, wrong = [], []
+        clips, sure = self.clips, SAID.index("flawed")
+        for row in rows:
+            key = int(clips.limb[row]), int(clips.shape[row]), int(clips.person[row])
+            good, bad = (self.words.rows[[self.words.choices[(*key, said)][0]]] for said in (0, sure))
+            kinds = [0] if self.options.clean_only else [0, 1]
+            z = self.latents([row] * len(kinds), kinds, [False] * len(kinds)).repeat(len(HELD_OUT_TIMES), 1, 1, 1, 1)
+            t = torch.tensor(HELD_OUT_TIMES).repeat_interleave(len(kinds))
+            noise = torch.randn(z.shape, generator=generator)
+            own = torch.cat([good, bad][: len(kinds)]).repeat(len(HELD_OUT_TIMES), 1)
+            other = torch.cat([bad, good][: len(kinds)]).repeat(len(HELD_OUT_TIMES), 1)
+            right.append(self.losses(self.average, z, noise, t, own))
+            wrong.append(self.losses(self.average, z, noise, t, other))
+        weighted, plain = (torch.cat(parts) for parts in zip(*right, strict=True))
+        apart = torch.cat([loss for loss, _ in wrong]) - weighted
+        return {"held_out": round(float(plain.mean()), 5), "contrast": round(float(apart.mean()), 7)}
+
+    def state(self) -> dict[str, Any]:
+        """All that resuming and exporting need; plain tensors and numbers."""
+        return {
+            "denoiser": self.denoiser.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "generator": self.generator.get_state(),
+            "step": self.step,
+            "seconds": self.seconds,
+            "architecture": asdict(self.denoiser.architecture),
+            "text_mean": self.words.mean,
+            "text_std": self.words.std,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a checkpoint of `state`, with its statistics of the text."""
+        self.words.normalise(state["text_mean"], state["text_std"])
+        self.denoiser.load_state_dict(state["denoiser"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.generator.set_state(state["generator"])
+        self.step, self.seconds = state["step"], state["seconds"]
+
+    def run(self, out: Path) -> None:
+        """Train to the end; log and checkpoint on the way."""
+        begin, already = time.monotonic(), self.seconds
+        last_save, losses = begin, []
+        while self.progress() < 1:
+            losses.append(self.advance())
+            now = time.monotonic()
+            self.seconds = already + now - begin
+            ends = self.progress() >= 1
+            if self.step % LOG_EVERY == 0 or ends:
+                row = {
+                    "step": self.step,
+                    "minutes": round(self.seconds / 60, 2),
+                    "loss": round(sum(losses) / len(losses), 5),
+                    "lr": round(self.learning_rate(), 7),
+                }
+                if self.step % TEST_EVERY == 0 or ends:
+                    row |= self.test()
+                losses = []
+                with (out / "log.jsonl").open("a") as log:
+                    log.write(json.dumps(row) + "\n")
+            if now - last_save > 60 * self.options.save_minutes:
+                write_atomically(out / "checkpoint.pt", self.state())
+                last_save = now
+        write_atomically(out / "checkpoint.pt", self.state())
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m hoi.video_prior.train", description="Train the video prior.")
+    parser.add_argument("--out", type=Path, required=True, help="folder for clips, checkpoint, log and finished prior")
+    parser.add_argument("--resume", action="store_true", help="continue from OUT/checkpoint.pt")
+    parser.add_argument("--clips", type=int, default=3584, help="views of contacts to train on, each in three kinds")
+    parser.add_argument("--clean-only", action="store_true", help="no flawed clips, and so no contrast to guide by")
+    parser.add_argument("--held-out", type=float, default=0.04, help="share of the views that are only tested on")
+    parser.add_argument("--test-clips", type=int, default=32)
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--minutes", type=float, default=0.0, help="end after so long, the schedule fitted to it")
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--lr", type=float, default=8e-4)
+    parser.add_argument("--warmup", type=int, default=200, help="steps")
+    parser.add_argument("--ema", type=float, default=0.998, help="decay of the moving average, per step")
+    parser.add_argument("--drop-text", type=float, default=0.1, help="share of clips with an empty caption")
+    parser.add_argument("--text-noise", type=float, default=0.15, help="noise on the normalised sentence embedding")
+    parser.add_argument("--time-power", type=float, default=1.5, help="t = 1000 u^p of a uniform u")
+    parser.add_argument("--channels", type=int, nargs=2, default=[96, 192])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--hardware", default="", help="in plain words, for training.json; default: the thread count")
+    parser.add_argument("--save-minutes", type=float, default=4.0)
+    return parser
+
+
+def train(options: argparse.Namespace, command: str) -> None:
+    """The whole of it: clips, training, publication.
+
+    Raises:
+        InputError: nothing to resume from, or clips in OUT that are damaged.
+    """
+    torch.set_num_threads(options.threads)
+    checkpoint = options.out / "checkpoint.pt"
+    if options.resume and not checkpoint.is_file():
+        raise InputError(f"--resume: {checkpoint} does not exist")
+    if options.clips < 2 or options.batch < 2 or options.batch % 2:
+        raise InputError(f"--clips {options.clips}, --batch {options.batch}: at least 2, and the batch even")
+    options.out.mkdir(parents=True, exist_ok=True)
+    clips = provide_clips(options.out, options.clips, options.seed)
+    if not options.resume:
+        (options.out / "log.jsonl").unlink(missing_ok=True)
+    training = Training(clips, options)
+    if options.resume:
+        training.restore(torch.load(checkpoint, weights_only=True))
+    training.run(options.out)
+    facts = {"command": command, "hardware": options.hardware or f"{options.threads} CPU threads"}
+    publish(training.state(), clips, len(training.held_out), facts, options.out)
+
+
+def main() -> int:
+    command = "python -m hoi.video_prior.train " + shlex.join(sys.argv[1:])
+    try:
+        train(parser().parse_args(), command)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; clips that are whole are kept, --resume goes on from the last checkpoint", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
