@@ -61,10 +61,13 @@ def agents(
     motions = [stand_motion(scene.body, scene.frames, scene.fps) for scene in scenes]
 
     # Agent Motion Synthesis: the object's free motion ...
-    with shared_stage(stages, "free motion", config.scene.frames - 1) as (stage, *_):
+    with shared_stage(stages, "free motion", config.scene.frames - 1) as (stage, *others):
         trajectory, restarts = movers.free_motion(
             scenes[0], move if plan.keeps("free_motion") else movers.at_rest, stage
         )
+        for other in others:
+            other.numbers.update(stage.numbers)
+            other.notes.extend(stage.notes)
     yield (states := [State(motion, trajectory, restarts) for motion in motions])
 
     # ... and the human's, distilled from the motion prior.

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from hoi.config import CONF
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
 from hoi.validate import to_config
@@ -185,3 +186,10 @@ def test_planning_is_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
+
+
+@pytest.mark.parametrize("scene", sorted(path.stem for path in (CONF / "scene").glob("*.yaml")))
+@pytest.mark.parametrize("ablation", ["full", "no_mdm", "no_mpm", "no_contact"])
+def test_every_scene_can_be_ablated(plan, scene, ablation):
+    made = plan(f"scene={scene}", f"ablation={ablation}")
+    assert ablation == "full" or ablation in made.variant

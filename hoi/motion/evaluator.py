@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from hoi.errors import InputError
@@ -137,7 +137,7 @@ def save_evaluator(evaluator: Evaluator, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     state = {name: value.contiguous() for name, value in evaluator.towers.state_dict().items()}
     state["known"] = evaluator.known.contiguous()
-    save_file(state, path, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256})
+    path.write_bytes(save(state, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256}))
 
 
 def load_evaluator(path: Path = SHIPPED, text_cache: Path | None = None) -> Evaluator:

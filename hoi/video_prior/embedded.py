@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 from torch.nn import functional
 
@@ -131,7 +131,7 @@ def save_embedded(
     tensors |= {TEXT_MEAN: text[0].float(), TEXT_STD: text[1].float()}
     part = path.with_name(path.name + ".part")
     about = {"package": MINILM_PACKAGE, **asdict(description)}
-    save_file(tensors, part, {"format": FORMAT, "description": json.dumps(about)})
+    part.write_bytes(save(tensors, {"format": FORMAT, "description": json.dumps(about)}))
     os.replace(part, path)
 
 
