@@ -54,7 +54,7 @@ def test_walls_come_after_the_ground(build):
     [
         (["scene.placement.position=[0,1,0.05]"], ["0.0597 m deep in the ground", "leave z empty"]),
         (
-            ["scene.planes=[{point:[0,1.25,0],normal:[0,-1,0]}]"],
+            ["scene.planes=[{point:[0,1.1,0],normal:[0,-1,0]}]"],
             ["0.0598 m deep in scene.planes.0", "[0.0, -1.0, 0.0]"],
         ),
         (
@@ -70,7 +70,7 @@ def test_an_object_that_starts_in_a_plane_is_refused(build, overrides, words):
 
 
 def test_an_object_that_touches_a_wall_is_not_refused(build):
-    build("scene.planes=[{point:[0,1.31,0],normal:[0,-1,0]}]")
+    build("scene.planes=[{point:[0,1.16,0],normal:[0,-1,0]}]")
 
 
 @pytest.mark.parametrize(
