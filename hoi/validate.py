@@ -26,6 +26,7 @@ from hoi.config import (
     WindowedConf,
 )
 from hoi.errors import InputError
+from hoi.weights import EMBEDDED_PICTURE
 
 SMALLEST_PICTURE, LARGEST_PICTURE = 16, 8192
 """Edges that H.264 can have [pixel]; its colour planes are half as large, so they are even."""
@@ -260,7 +261,15 @@ def validate(config: Config) -> list[str]:
             value = getattr(refine, name)
             inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE and value % SMALLEST_PICTURE == 0
             require(inside, f"stage.refine.{name}", value, f"a multiple of {SMALLEST_PICTURE} up to {LARGEST_PICTURE}")
-        require(clip is None or clip >= 1, "stage.refine.clip_frames", clip, "1 or more [frames], or null")
+        if embedded:  # what it has been trained on
+            size, fixed = EMBEDDED_PICTURE, "null with stage.refine.prior=embedded"
+            require(clip is None, "stage.refine.clip_frames", clip, fixed)
+            for name in ("width", "height"):
+                value, rule = getattr(refine, name), f"{size} with stage.refine.prior=embedded"
+                require(value == size, f"stage.refine.{name}", value, rule)
+        else:
+            whole = clip is None or (clip >= 1 and clip % 4 == 1)
+            require(whole, "stage.refine.clip_frames", clip, "4 k + 1 frames (9, 13, ..., 49), or null")
         require(refine.lambda_geometry >= 0, "stage.refine.lambda_geometry", refine.lambda_geometry, "0 or more")
     render = config.render
     if isinstance(render, VideoConf):

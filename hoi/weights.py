@@ -7,6 +7,8 @@ from hoi.config import VideoPriorKind, VideoSDSConf
 from hoi.errors import InputError
 
 EMBEDDED_VIDEO_PRIOR = Path(__file__).parent / "video_prior" / "weights" / "video_prior.safetensors"
+EMBEDDED_PICTURE = 64
+"""Edge of the square pictures that the embedded video prior has learned to see [pixel]."""
 COGVIDEOX = "THUDM/CogVideoX-5b"
 COGVIDEOX_PARTS = ("transformer", "vae", "text_encoder", "tokenizer", "scheduler")
 COGVIDEOX_SIZE = "21 GB (transformer 11.1, T5 9.5, VAE 0.4)"

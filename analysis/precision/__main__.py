@@ -1,9 +1,12 @@
-"""Error against run time: `python -m analysis.precision [--quick] [--problems physics|renderer|NAMES] [-o FOLDER]`.
+"""Error against run time: `python -m analysis.precision [--quick] [--problems NAMES] [-o FOLDER]`.
+
+NAMES are physics, renderer, contacts, or single problems; the default is all but contacts, which takes an hour.
 
 Of the object's physics: problems with known answers and benchmark scenes, each computed in many ways; see
 `analysis.precision.problems`, `.scenes`, `.run` for the ways and `.convergence` for the orders. Writes precision.csv,
 precision.md and precision.png. Of the renderer: pictures, each made in many ways; see `analysis.precision.pictures`.
-Writes rendering.csv, rendering.md and rendering.png.
+Writes rendering.csv, rendering.md and rendering.png. Of stage 3: contacts, each refined in many ways; see
+`analysis.precision.contacts`. Writes contacts.csv, contacts.md and contacts.png.
 """
 
 import argparse
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from analysis.precision.problems import Problem
 
 DEFAULT_OUT = Path("runs/precision")
+CONTACTS = "contacts"
 
 
 class Parser(argparse.ArgumentParser):
@@ -33,7 +37,7 @@ class Parser(argparse.ArgumentParser):
 def main() -> None:
     parser = Parser(prog="python -m analysis.precision", description="Error against run time.")
     parser.add_argument("-o", "--out", type=Path, default=DEFAULT_OUT, help=f"folder (default {DEFAULT_OUT})")
-    parser.add_argument("--problems", help="names, physics or renderer, separated by commas (default: all)")
+    parser.add_argument("--problems", help="names, physics, renderer or contacts, separated by commas")
     parser.add_argument("--quick", action="store_true", help="few and small variants of two problems and of pictures")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each short variant (default 3)")
     parser.add_argument("--threads", type=int, default=1, help="of each run (default 1)")
@@ -62,7 +66,7 @@ def _study(arguments: argparse.Namespace) -> None:
     groups = {"physics": ["waves", "punch"] if arguments.quick else list(problems), "renderer": list(views)}
     given = (arguments.problems or ",".join(groups)).split(",")
     names = dict.fromkeys(name for word in given for name in groups.get(word, [word]))
-    known = [*problems, *views]
+    known = [*problems, *views, CONTACTS]
     unknown = [name for name in names if name not in known]
     if unknown:
         raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
@@ -71,6 +75,8 @@ def _study(arguments: argparse.Namespace) -> None:
         _physics(arguments, [make() for make in chosen], cores)
     if chosen := [views[name] for name in names if name in views]:
         _renderer(arguments, [make(arguments.quick) for make in chosen])
+    if CONTACTS in names:
+        _contacts(arguments)
 
 
 def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: int) -> None:
@@ -100,6 +106,19 @@ def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
     for name, difference in off.items():
         print(f"{name:8} float64 against brute force: {difference:.1e} {picture_report.verdict(difference)}")
     print(f"{len(table)} ways to make a picture in {time.perf_counter() - began:.0f} s")
+    print(*paths, sep="\n")
+
+
+def _contacts(arguments: argparse.Namespace) -> None:
+    from analysis.precision import contact_report, contacts, report
+
+    began = time.perf_counter()
+    scenes, seeds = (
+        (contacts.QUICK_SCENES, contacts.QUICK_SEEDS) if arguments.quick else (contacts.SCENES, contacts.SEEDS)
+    )
+    table = contacts.study(arguments.out / "starts", scenes, seeds, arguments.threads, arguments.quick)
+    paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
+    print(f"{len(table)} contacts refined in {time.perf_counter() - began:.0f} s")
     print(*paths, sep="\n")
 
 

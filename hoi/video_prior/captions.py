@@ -1,6 +1,6 @@
 """What training clips are called: sentences as scene files have them in their prompt and in their negative prompt."""
 
-from hoi.video_prior.contacts import KINDS, LIMBS, OBJECT_SHARES, PEOPLE
+from hoi.video_prior.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
 
 WHO = {
     "man": ("a man", "his"), "woman": ("a woman", "her"), "child": ("a child", "the"), "athlete": ("an athlete", "the"),
@@ -15,6 +15,7 @@ VERBS = {
 }
 SHORT = {
     "soccer_ball": "ball", "basketball": "ball", "blue_ball": "ball", "cardboard_box": "box", "file_cabinet": "cabinet",
+    "beach_ball": "ball", "foam_cube": "cube",
 }  # fmt: skip
 SENTENCES = {
     "clean": (
@@ -46,10 +47,10 @@ SENTENCES = {
         "bad contact, penetration, intersecting geometry, gap, floating",
     ),
 }  # fmt: skip
-"""Of each kind, and "flawed", said of either of the flawed ones."""
+"""Of clean clips, of each of `FLAWS`, and "flawed", said of either flaw."""
 FLAWED_SHARE = 0.5
 """How often a flawed clip is called flawed, rather than what it is."""
-assert {*KINDS, "flawed"} == set(SENTENCES)
+assert {"clean", *FLAWS, "flawed"} == set(SENTENCES)
 
 
 def captions(limb: int, shape: int, person: int, said: str) -> list[str]:

@@ -1,7 +1,8 @@
 """Clips of contacts as the prior is to see them: drawn from around, clean and flawed side by side.
 
-A scene is seen from a few directions. Each view holds the same contact three times, clean, with the limb inside the
-object and with a gap, under one light and before one background, so that only the contact tells them apart.
+A scene is seen from a few directions. Each view holds the same contact with each flaw, the limb inside the object and
+a gap, and beside each the clean one through the very same camera, under one light and before one background: the two
+differ by what a good prior should mend, and by nothing else.
 """
 
 import math
@@ -23,7 +24,7 @@ from hoi.refine.views import Framing, background, viewpoint
 from hoi.render.cameras import CIRCLE_ELEVATION, Camera
 from hoi.render.rasterise import rasterise
 from hoi.render.splats import Splats, join
-from hoi.video_prior.contacts import KINDS, OBJECT_SHARES, PEOPLE, Contact, sample_motions, spoil, stage_contact
+from hoi.video_prior.contacts import FLAWS, OBJECT_SHARES, PEOPLE, Contact, sample_motions, spoil, stage_contact
 from hoi.video_prior.embedded import CLIP_FRAMES, CROP, SIZE
 
 VIEWS = 2
@@ -48,12 +49,12 @@ SHARD_SEEDS = 10_000
 
 @dataclass(frozen=True)
 class Clips:
-    """V views of contacts, each in the K kinds of `KINDS`."""
+    """V views of contacts, each with the K flaws of `FLAWS`."""
 
     video: NDArray[np.uint8]
-    """(V, K, F, height, width, 3)."""
+    """(V, K, 2, F, height, width, 3): the clean clip, then the flawed one."""
     amount: NDArray[np.float32]
-    """Depth of the deepest skin in the clip, or minus the gap at the contact [m], (V, K); 0 for clean ones."""
+    """Depth of the deepest skin in the flawed clip, or minus the gap at the contact [m], (V, K)."""
     limb: NDArray[np.int16]
     """In `LIMBS`, (V,)."""
     shape: NDArray[np.int16]
@@ -67,7 +68,11 @@ class Clips:
 
 @torch.no_grad()
 def draw(contact: Contact, shifts: list[np.ndarray], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """One view of a contact, (K, F, height, width, 3), with the person moved by each of the shifts (F, 3) [m]."""
+    """One view of a contact, clean and with the person moved by each of the shifts (F, 3) [m].
+
+    Returns:
+        (K, 2, F, height, width, 3).
+    """
     across = math.atan2(contact.strike[1], contact.strike[0]) + rng.choice([-1, 1]) * np.pi / 2
     azimuth = across + rng.uniform(-1, 1) * (SIDEWAYS if rng.uniform() < FROM_THE_SIDE else np.pi)
     elevation = CIRCLE_ELEVATION + rng.uniform(-1, 1) * ELEVATION_SPREAD
@@ -77,14 +82,15 @@ def draw(contact: Contact, shifts: list[np.ndarray], rng: np.random.Generator) -
     light = torch.from_numpy(rng.uniform(*EXPOSURE) * rng.uniform(*TINT, 3)).float()
     mixed = contact.thing.sh[..., rng.permutation(3)] if rng.uniform() < 0.5 else contact.thing.sh
     thing = replace(contact.thing, sh=mixed)
-    clips = []
+    shown, pairs = replace(contact, thing=thing), []
     for shift in shifts:
-        # Whether limb or object is where the clean contact has it must not give the flaw away.
+        # Where in the picture limb and object are must not give the flaw away.
         centre = around + rng.uniform(0, 1) * shift[near]
         camera = viewpoint(Framing(centre, CROP), azimuth, elevation, width=SIZE, height=SIZE)
         behind = background(camera) if plain is None else plain
-        clips.append(render(replace(contact, thing=thing), torch.from_numpy(shift).float(), camera, behind) * light)
-    return (torch.stack(clips).clamp(0, 1) * 255).round().byte().numpy()
+        moves = (torch.from_numpy(move).float() for move in (np.zeros_like(shift), shift))
+        pairs.append(torch.stack([render(shown, move, camera, behind) * light for move in moves]))
+    return (torch.stack(pairs).clamp(0, 1) * 255).round().byte().numpy()
 
 
 def render(contact: Contact, shift: Tensor, camera: Camera, behind: Tensor) -> Tensor:
@@ -117,9 +123,8 @@ def make_clips(views: int, seed: int, prior: MotionPrior, done: Callable[[], obj
         contact = stage_contact(motions, prior, rng)
         if contact is None:
             continue
-        flaws = [spoil(contact, kind, rng) for kind in KINDS]
-        found = [flaw for flaw in flaws if flaw is not None]
-        if len(found) < len(KINDS):
+        found = [flaw for flaw in (spoil(contact, name, rng) for name in FLAWS) if flaw is not None]
+        if len(found) < len(FLAWS):
             continue
         for _ in range(min(VIEWS, views - len(video))):
             video.append(draw(contact, [shift for shift, _ in found], rng))
@@ -171,7 +176,7 @@ def load_clips(path: Path) -> Clips:
             clips = Clips(*(file[field.name] for field in fields(Clips)))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: clips cannot be read from it ({error}); delete it to have them made anew") from None
-    wanted = (len(KINDS), CLIP_FRAMES, SIZE, SIZE, 3)
+    wanted = (len(FLAWS), 2, CLIP_FRAMES, SIZE, SIZE, 3)
     if clips.video.shape[1:] != wanted:
         raise InputError(
             f"{path}: clips of shape {clips.video.shape[1:]}, must be {wanted}; delete it to have new ones"

@@ -29,7 +29,7 @@ from hoi.render.replay import Person, person_tensors, posed
 from hoi.render.splats import Splats, from_cloud
 from hoi.video_prior.embedded import CLIP_FRAMES, FPS
 
-KINDS = ("clean", "inside", "gap")
+FLAWS = ("inside", "gap")
 PEOPLE = ("man", "woman", "child", "athlete", "heavy", "senior")
 PERSON_GAUSSIANS = 14_000
 MOTION_FRAMES, MOTION_STEPS, MOTION_BATCH, GUIDANCE = 40, 25, 32, 2.5
@@ -88,7 +88,8 @@ LIMBS = (
 )  # fmt: skip
 LIMB_SHARES = (0.22, 0.22, 0.08, 0.08, 0.13, 0.13, 0.14)
 OBJECT_SHARES = {
-    "soccer_ball": 0.3, "basketball": 0.17, "blue_ball": 0.17, "cardboard_box": 0.2, "file_cabinet": 0.16,
+    "soccer_ball": 0.26, "basketball": 0.15, "blue_ball": 0.14, "cardboard_box": 0.13, "file_cabinet": 0.12,
+    "beach_ball": 0.08, "foam_cube": 0.12,
 }  # fmt: skip
 
 
@@ -224,21 +225,19 @@ def stage_contact(
     return contact if clean and centres[:, 2].min() >= solid.height - CLEAN else None
 
 
-def spoil(contact: Contact, kind: str, rng: np.random.Generator) -> tuple[Array, float] | None:
-    """How the person has to move for the contact to be of another kind.
+def spoil(contact: Contact, flaw: str, rng: np.random.Generator) -> tuple[Array, float] | None:
+    """How the person has to move for the contact to have one of `FLAWS`.
 
     Returns:
         shift (F, 3) [m], and the depth of the deepest skin over the clip, or minus the gap at the middle frame [m];
         None where that comes out too small or too large to be the flaw that it is called.
     """
-    if kind == "clean":
-        return np.zeros((CLIP_FRAMES, 3)), 0.0
     width = rng.choice([0.6, 1.0, 2.0, 6.0])
     # As an optimiser of few frames around t_c leaves it, or as a motion that misses as a whole.
     near = np.exp(-(contact.times**2) / (2 * width**2))[:, None]
-    way = near * contact.strike * (1 if kind == "inside" else -1)
+    way = near * contact.strike * (1 if flaw == "inside" else -1)
     amount = FLAW[0] + (FLAW[1] - FLAW[0]) * rng.uniform() ** 1.5  # small ones are the more frequent in use
-    if kind == "gap":
+    if flaw == "gap":
         gap = contact.distances(way * amount)[np.abs(contact.times).argmin()]
         return (way * amount, -float(gap)) if LEAST_FLAW <= gap else None
     most = min(FLAW[1], 0.8 * float(contact.solid.half.min()) * 2)

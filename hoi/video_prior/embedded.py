@@ -21,11 +21,12 @@ from hoi.errors import InputError
 from hoi.motion.diffusion import guide
 from hoi.motion.text import MINILM_PACKAGE, TextEncoder, default_cache, minilm
 from hoi.video_prior.denoiser import Architecture, VideoDenoiser, alphas_cumprod
+from hoi.weights import EMBEDDED_PICTURE
 
 WEIGHTS_NAME = "video_prior.safetensors"
 EMBEDDED = Path(__file__).parent / "weights" / WEIGHTS_NAME
 FORMAT = "hoi video prior 1"
-CLIP_FRAMES, SIZE, FPS = 5, 64, 20.0
+CLIP_FRAMES, SIZE, FPS = 5, EMBEDDED_PICTURE, 20.0
 CROP = 0.28
 """Half of what a picture shows around the point of contact [m]."""
 MEAN, SPREAD = 0.56, 0.28

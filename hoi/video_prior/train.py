@@ -24,7 +24,7 @@ from hoi.motion.text import minilm
 from hoi.motion.train import write_atomically
 from hoi.video_prior.captions import FLAWED_SHARE, SENTENCES, captions
 from hoi.video_prior.clips import Clips, provide_clips
-from hoi.video_prior.contacts import KINDS, LIMBS, OBJECT_SHARES, PEOPLE
+from hoi.video_prior.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
 from hoi.video_prior.denoiser import TIMESTEPS, Architecture, VideoDenoiser, alphas_cumprod
 from hoi.video_prior.embedded import to_latents
 from hoi.video_prior.publish import publish
@@ -35,6 +35,8 @@ SAID = tuple(SENTENCES)
 CENTRE_SPREAD, CENTRE_WEIGHT = 0.18, 3.0
 """Where the contact is the loss weighs more: a Gaussian of this width, in shares of the picture, on top of 1."""
 HELD_OUT_TIMES = (100, 250, 400, 600)
+MEND_FROM = 100
+"""Flawed clips are mended from this t on: below it v would have to be far out of its range to give another clip."""
 LOG_EVERY, TEST_EVERY = 50, 300
 STATISTICS_CLIPS = 256
 LEAST_VARIANCE = 1e-4
@@ -93,7 +95,7 @@ class Training:
         """Of the latents of the training clips, (C,); of some of them."""
         some = self.training[:: max(1, len(self.training) // STATISTICS_CLIPS)]
         z = self.latents(list(some), [0] * len(some), [False] * len(some))
-        return z.square().mean((0, 1, 3, 4)).clamp(min=LEAST_VARIANCE)
+        return z.square().mean((0, 1, 2, 4, 5)).clamp(min=LEAST_VARIANCE)
 
     def progress(self) -> float:
         """How much of the training is done, by steps or by time, whichever is further."""
@@ -111,50 +113,55 @@ class Training:
     def _chance(self, share: float) -> bool:
         return float(torch.rand((), generator=self.generator)) < share
 
-    def _caption(self, row: int, kind: int, mirrored: bool) -> int:
-        """A caption that suits; now and then none."""
-        if self._chance(self.options.drop_text):
-            return 0
+    def _caption(self, row: int, said: str, mirrored: bool) -> int:
+        """One of the captions of a clip under a key of `SENTENCES`."""
         limb, clips = int(self.clips.limb[row]), self.clips
-        said = SAID.index("flawed") if kind > 0 and self._chance(FLAWED_SHARE) else kind
         limb = MIRRORED_LIMBS[limb] if mirrored else limb
-        choices = self.words.choices[limb, int(clips.shape[row]), int(clips.person[row]), said]
+        choices = self.words.choices[limb, int(clips.shape[row]), int(clips.person[row]), SAID.index(said)]
         return choices[self._draw(len(choices))]
 
-    def latents(self, rows: list[int], kinds: list[int], mirrored: list[bool]) -> Tensor:
-        """(B, F, C, h, w)."""
-        video = self.video[rows, kinds].float().div_(255).movedim(-1, 2)
-        flipped = torch.tensor(mirrored)[:, None, None, None, None]
-        return to_latents(torch.where(flipped, video.flip(-1), video), self.denoiser.architecture.patch)
+    def latents(self, rows: list[int], flaws: list[int], mirrored: list[bool]) -> Tensor:
+        """Clean and flawed clips, (2, B, F, C, h, w)."""
+        video = self.video[rows, flaws].float().div_(255).movedim(-1, 3)
+        flipped = torch.tensor(mirrored)[:, None, None, None, None, None]
+        return to_latents(torch.where(flipped, video.flip(-1), video), self.denoiser.architecture.patch).movedim(1, 0)
 
-    def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """z, noise, t and text. Each clean clip stands beside a flawed one of the same view, with the same noise."""
-        options = self.options
-        kinds_of = [0] if options.clean_only else [0, None]
-        rows, kinds, mirrored, words = [], [], [], []
-        for _ in range(options.batch // len(kinds_of)):
-            row, flip = self.training[self._draw(len(self.training))], self._chance(0.5)
-            for given in kinds_of:
-                kind = 1 + self._draw(len(KINDS) - 1) if given is None else given
-                rows.append(row)
-                kinds.append(kind)
-                mirrored.append(flip)
-                words.append(self._caption(row, kind, flip))
-        z, views = self.latents(rows, kinds, mirrored), len(rows) // len(kinds_of)
-        noise = torch.randn((views, *z.shape[1:]), generator=self.generator)
+    def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """z, what the denoiser should make of it, noise, t and text.
+
+        A view is seen three times with one noise: clean and called clean; flawed and called flawed (both now and then
+        not called at all), which the denoiser should give back as they are; and flawed but called clean, of which it
+        should make the clean one.
+        """
+        options, views = self.options, self.options.batch // 3
+        rows = [self.training[self._draw(len(self.training))] for _ in range(views)]
+        flaws = [self._draw(len(FLAWS)) for _ in range(views)]
+        mirrored = [self._chance(0.5) for _ in range(views)]
+        words: list[list[int]] = [[], [], []]
+        for row, flaw, flip in zip(rows, flaws, mirrored, strict=True):
+            bad = "flawed" if self._chance(FLAWED_SHARE) else FLAWS[flaw]
+            for said, found in zip(("clean", bad), words, strict=False):
+                found.append(0 if self._chance(options.drop_text) else self._caption(row, said, flip))
+            words[2].append(self._caption(row, "clean", flip))
+        clean, flawed = self.latents(rows, flaws, mirrored)
+        noise = torch.randn(clean.shape, generator=self.generator)
         # More of the little noise with which a contact can be told from a near miss.
         t = (TIMESTEPS * torch.rand(views, generator=self.generator) ** options.time_power).long()
-        text = self.words.rows[words]
+        text = self.words.rows[[word for column in words for word in column]]
         text = text + options.text_noise * torch.randn(text.shape, generator=self.generator)
-        return z, noise.repeat_interleave(len(kinds_of), 0), t.repeat_interleave(len(kinds_of), 0), text
+        z, wanted = torch.cat([clean, flawed, flawed]), torch.cat([clean, flawed, clean])
+        return z, wanted, noise.repeat(3, 1, 1, 1, 1), torch.cat([t, t, t.clamp(min=MEND_FROM)]), text
 
     def losses(
-        self, denoiser: VideoDenoiser, z: Tensor, noise: Tensor, t: Tensor, text: Tensor
+        self, denoiser: VideoDenoiser, z: Tensor, wanted: Tensor, noise: Tensor, t: Tensor, text: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Squared errors of v of each clip, (B,): weighted towards the contact, and plain."""
+        """Squared errors of v of each clip, (B,): weighted towards the contact, and plain.
+
+        v is what gives `wanted` as z_hat, which is the usual one where z itself is wanted.
+        """
         alpha_bar = self.alphas_cumprod.to(z)[t][:, None, None, None, None]
         z_t = alpha_bar.sqrt() * z + (1 - alpha_bar).sqrt() * noise
-        v = alpha_bar.sqrt() * noise - (1 - alpha_bar).sqrt() * z
+        v = (alpha_bar.sqrt() * z_t - wanted) / (1 - alpha_bar).sqrt()
         error = (denoiser(z_t, t, text) - v).square()
         # Half way to equal weights of all channels: else the mean colours of patches are all that is learned.
         spread = denoiser.unknown(t).sqrt()
@@ -180,29 +187,35 @@ class Training:
 
     @torch.no_grad()
     def test(self) -> dict[str, float]:
-        """On held-out clips: the loss, and by how much it is larger under the caption of another kind.
+        """On held-out clips: the loss, and how much of a flaw z_hat has mended.
 
-        That contrast is what guidance against the negative prompt lives on.
+        0: the flawed clip itself; 1: all the way to the clean one, measured along that way alone. Called clean that
+        should be much, called flawed nothing: guidance lives on the difference.
         """
         count = min(self.options.test_clips, len(self.held_out))
-        rows = [self.held_out[i * len(self.held_out) // count] for i in range(count)]
         generator = torch.Generator().manual_seed(0)
-        right, wrong = [], []
-        clips, sure = self.clips, SAID.index("flawed")
-        for row in rows:
-            key = int(clips.limb[row]), int(clips.shape[row]), int(clips.person[row])
-            good, bad = (self.words.rows[[self.words.choices[(*key, said)][0]]] for said in (0, sure))
-            kinds = [0] if self.options.clean_only else [0, 1]
-            z = self.latents([row] * len(kinds), kinds, [False] * len(kinds)).repeat(len(HELD_OUT_TIMES), 1, 1, 1, 1)
-            t = torch.tensor(HELD_OUT_TIMES).repeat_interleave(len(kinds))
-            noise = torch.randn(z.shape, generator=generator)
-            own = torch.cat([good, bad][: len(kinds)]).repeat(len(HELD_OUT_TIMES), 1)
-            other = torch.cat([bad, good][: len(kinds)]).repeat(len(HELD_OUT_TIMES), 1)
-            right.append(self.losses(self.average, z, noise, t, own))
-            wrong.append(self.losses(self.average, z, noise, t, other))
-        weighted, plain = (torch.cat(parts) for parts in zip(*right, strict=True))
-        apart = torch.cat([loss for loss, _ in wrong]) - weighted
-        return {"held_out": round(float(plain.mean()), 5), "contrast": round(float(apart.mean()), 7)}
+        t = torch.tensor(HELD_OUT_TIMES)
+        losses: list[Tensor] = []
+        mended: dict[str, list[Tensor]] = {"clean": [], "flawed": []}
+        for i in range(count):
+            row = self.held_out[i * len(self.held_out) // count]
+            key = int(self.clips.limb[row]), int(self.clips.shape[row]), int(self.clips.person[row])
+            good, bad = (
+                self.words.rows[self.words.choices[(*key, SAID.index(said))][0]].expand(len(t), -1)
+                for said in ("clean", "flawed")
+            )
+            clean, flawed = (
+                part.expand(len(t), -1, -1, -1, -1) for part in self.latents([row], [i % len(FLAWS)], [False])
+            )
+            noise = torch.randn(clean.shape, generator=generator)
+            losses.append(self.losses(self.average, clean, clean, noise, t, good)[1])
+            alpha_bar = self.alphas_cumprod.to(clean)[t][:, None, None, None, None]
+            z_t, way = alpha_bar.sqrt() * flawed + (1 - alpha_bar).sqrt() * noise, clean - flawed
+            for said, text in (("clean", good), ("flawed", bad)):
+                z_hat = alpha_bar.sqrt() * z_t - (1 - alpha_bar).sqrt() * self.average(z_t, t, text)
+                mended[said].append(((z_hat - flawed) * way).sum((1, 2, 3, 4)) / way.square().sum((1, 2, 3, 4)))
+        means = {f"mended_{said}": round(float(torch.cat(shares).median()), 4) for said, shares in mended.items()}
+        return {"held_out": round(float(torch.cat(losses).mean()), 5), **means}
 
     def state(self) -> dict[str, Any]:
         """All that resuming and exporting need; plain tensors and numbers."""
@@ -259,13 +272,12 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m hoi.video_prior.train", description="Train the video prior.")
     parser.add_argument("--out", type=Path, required=True, help="folder for clips, checkpoint, log and finished prior")
     parser.add_argument("--resume", action="store_true", help="continue from OUT/checkpoint.pt")
-    parser.add_argument("--clips", type=int, default=3584, help="views of contacts to train on, each in three kinds")
-    parser.add_argument("--clean-only", action="store_true", help="no flawed clips, and so no contrast to guide by")
+    parser.add_argument("--clips", type=int, default=3584, help="views of contacts to train on, each in four clips")
     parser.add_argument("--held-out", type=float, default=0.04, help="share of the views that are only tested on")
     parser.add_argument("--test-clips", type=int, default=32)
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--minutes", type=float, default=0.0, help="end after so long, the schedule fitted to it")
-    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--batch", type=int, default=15)
     parser.add_argument("--lr", type=float, default=8e-4)
     parser.add_argument("--warmup", type=int, default=200, help="steps")
     parser.add_argument("--ema", type=float, default=0.998, help="decay of the moving average, per step")
@@ -290,8 +302,10 @@ def train(options: argparse.Namespace, command: str) -> None:
     checkpoint = options.out / "checkpoint.pt"
     if options.resume and not checkpoint.is_file():
         raise InputError(f"--resume: {checkpoint} does not exist")
-    if options.clips < 2 or options.batch < 2 or options.batch % 2:
-        raise InputError(f"--clips {options.clips}, --batch {options.batch}: at least 2, and the batch even")
+    if options.clips < 2:
+        raise InputError(f"--clips {options.clips}: at least 2")
+    if options.batch < 3 or options.batch % 3:
+        raise InputError(f"--batch {options.batch}: a multiple of 3")
     options.out.mkdir(parents=True, exist_ok=True)
     clips = provide_clips(options.out, options.clips, options.seed)
     if not options.resume:

@@ -1,0 +1,112 @@
+"""What a study of contacts leaves behind: contacts.csv, contacts.md and contacts.png."""
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import pandas as pd
+from matplotlib.axes import Axes
+
+from analysis.precision.errors import pareto_front
+from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
+
+KINDS = {
+    "none": ("#22262b", "o"),
+    "geometric": ("#2f855a", "D"),
+    "embedded": ("#2b6cb0", "s"),
+    "embedded + geometric": ("#c2571a", "^"),
+}
+"""Kind of way -> colour, marker."""
+LEAST_SECONDS = 0.1
+"""Where doing nothing is drawn."""
+TITLE = "Contact fidelity against run time of stage 3"
+PANELS = {"penetration": "deepest penetration [mm]", "touching": "touching at t_c [%]"}
+
+
+def summarise(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean and standard deviation over starts of each way, with n, those that got shallower, and those that stopped."""
+    table = table.assign(shallower=table["penetration"] < table["deepest before"])
+    groups = table.groupby(["setting", "way", "kind"], sort=False)
+    names = ["penetration", "touching", "gap", "strange"]
+    parts = [groups["seconds"].agg(n="size", seconds="median"), groups[["shallower", "stopped"]].sum()]
+    parts += [groups[names].mean(), groups[names].std(ddof=0).add_suffix(" sd")]
+    return pd.concat(parts, axis=1).reset_index()
+
+
+def write(folder: Path, table: pd.DataFrame, noted: dict[str, str]) -> list[Path]:
+    """The three files, in `folder`, which is made when it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"contacts.{ending}" for ending in ("csv", "md", "png")]
+    table.assign(**noted).to_csv(paths[0], index=False)
+    paths[1].write_text(markdown(table, noted), encoding="utf-8")
+    draw(table, paths[2])
+    return paths
+
+
+def markdown(table: pd.DataFrame, noted: dict[str, str]) -> str:
+    """The report as text."""
+    parts = [f"# {TITLE}", markdown_list(noted)]
+    for setting, rows in summarise(table).groupby("setting", sort=False):
+        parts += [f"## {setting}", _rows(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _rows(rows: pd.DataFrame) -> str:
+    heads = ["way", "n", "seconds", "deepest [mm]", "shallower", "touching [%]", "gap [mm]", "strange", "stopped"]
+    lines = [heads]
+    for row in rows.to_dict("records"):
+        spread = {name: (row[name], row[f"{name} sd"]) for name in ("penetration", "touching", "gap", "strange")}
+        lines.append(
+            [
+                str(row["way"]),
+                str(row["n"]),
+                f"{row['seconds']:.1f}",
+                _with_spread(*spread["penetration"], 1e3, 1),
+                str(int(row["shallower"])),
+                _with_spread(*spread["touching"], 1e2, 0),
+                _with_spread(*spread["gap"], 1e3, 1),
+                _with_spread(*spread["strange"], 1, 3),
+                str(int(row["stopped"])),
+            ]
+        )
+    return markdown_table(lines)
+
+
+def _with_spread(mean: float, deviation: float, unit: float, digits: int) -> str:
+    return f"{unit * mean:.{digits}f} ± {unit * deviation:.{digits}f}"
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """Over seconds, a row a setting: depth with the Pareto front, and touching share; bars are standard errors."""
+    summary = summarise(table)
+    settings = list(summary["setting"].unique())
+    figure, axes = plt.subplots(
+        len(settings), 2, figsize=(11, 4 * len(settings)), squeeze=False, dpi=130, layout="constrained"
+    )
+    for setting, row in zip(settings, axes, strict=True):
+        rows = pd.DataFrame(summary[summary["setting"] == setting])
+        for ax, (name, label) in zip(row, PANELS.items(), strict=True):
+            _panel(ax, rows, name, label)
+        row[0].set_title(f"{setting} settings", loc="left", color=INK)
+    axes[0][0].legend(fontsize=8, frameon=False)
+    figure.suptitle(TITLE, x=0.01, ha="left", color=INK)
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
+    unit = 1e3 if name == "penetration" else 1e2
+    rows = rows.assign(x=rows["seconds"].clip(lower=LEAST_SECONDS), y=unit * rows[name])
+    error = unit * rows[f"{name} sd"] / rows["n"] ** 0.5
+    for kind, (colour, marker) in KINDS.items():
+        of = rows["kind"] == kind
+        ax.errorbar(rows["x"][of], rows["y"][of], error[of], color=colour, marker=marker, ls=":", label=kind, capsize=2)
+    if name == "penetration":
+        best = pd.DataFrame(rows[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())]).sort_values("x")
+        ax.step(best["x"], best["y"], where="post", color=INK, lw=0.8, zorder=0)
+    ax.set(xscale="log", xlabel="seconds of stage 3", ylabel=label)
+    ax.set_ylim(bottom=0)
+    ax.grid(True, color=GRID)
+    ax.tick_params(colors=MUTED, labelsize=8)
