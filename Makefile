@@ -13,7 +13,7 @@ $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 to 3.13 (what taichi has wheels for); found none of them" \
 		"(python3 is $$(python3 --version 2>&1)). Install one, or name it: make setup PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,video]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,video,cluster]'
 	@touch $(READY)
 
 run: $(READY)  ## the default scene: record it, film it, draw a filmstrip, print the paths
@@ -42,10 +42,16 @@ table: $(READY)  ## the table of all runs, from their records
 stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
 	$(BIN)/python -m analysis.stability $(ARGS)
 
-sweep: $(READY)  ## all ablations of the default scene
-	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations $(ARGS)
+sweep: $(READY)  ## the benchmark on all cores: ten scenes, the method and its ablations
+	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations hydra/launcher=joblib $(ARGS)
+
+variations: $(READY)  ## what the paper varies within a scene
+	$(BIN)/python -m hoi.run --config-dir sweeps --config-name variations hydra/launcher=joblib $(ARGS)
+
+smoke: $(READY)  ## a small sweep of every kind of run
+	$(BIN)/python -m hoi.run --config-dir sweeps --config-name smoke hydra/launcher=joblib $(ARGS)
 
 clean:  ## remove the environment and the runs
 	rm -rf .venv runs
 
-.PHONY: help setup run test lint bench precision table stability sweep clean
+.PHONY: help setup run test lint bench precision table stability sweep variations smoke clean

@@ -1,69 +1,185 @@
-"""The table of a folder of runs, one row a variant: `python -m analysis.table runs [-o table.csv]`.
+"""The tables of a folder of runs, from their records alone: `python -m analysis.table runs [-o DIR] [--by scene]`.
 
-Mean over the variant's runs, n of them; an empty cell has no value in any of them. Failed runs are counted, not hidden.
+Writes, by default into DIR = runs/table:
+
+    runs.csv     one row a record, every number: the source of the rest
+    table.csv    one row a variant: of each number mean, spread (standard deviation over the variant's runs, scenes and
+                 seeds alike) and how many runs have it
+    table.md, table.tex, table.html    the same to read, by topic, with the rows that the paper reports
+
+Failed runs are counted with their reasons; a record that cannot be read is named and counted, and the table stands.
+The same records give the same bytes. Neither torch nor taichi is imported. Exit codes: 0 done; 2 a record or a score
+file could not be read (the tables are written all the same), or there is no record.
 """
 
 import argparse
+import os
 import sys
-import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
+from analysis.learned.sidecar import SCORES, read_scores, sidecar_path
 from analysis.metrics import METRICS
+from analysis.records import find, load
+from analysis.writers import write_tables
 from hoi.errors import InputError
-from hoi.record import posed_points, read
+from hoi.record import read_metadata
 
 KEYS = ["scene", "experiment", "variant"]
+FACTS = [*KEYS, "seed", "status", "reason", "path", "config_hash"]
+DONE, FAILED, UNREADABLE = "done", "failed", "unreadable"
+ORDER = ("full", "no_attraction", "no_contact", "no_mdm", "no_mpm", "no_video_sds", "geometric", "motion_from_file")
+"""Variants in tables; their combinations follow, then other systems by name."""
+BASELINE = "baseline"
+"""The experiment of other systems."""
+TOGETHER = 8
+"""With fewer records than this, one process reads them."""
 
 
-def collect(folder: Path) -> pd.DataFrame:
-    """One row a record below `folder`.
+def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
+    """One row a record below `folder`: `FACTS`, then the metrics and learned scores, NaN where a run has none.
+
+    A record that cannot be read is a row of status "unreadable", with the reason. A failed run whose folder also holds
+    the finished run of the same config is superseded by it and has no row.
+
+    Args:
+        jobs: processes that read; the rows do not depend on it.
 
     Raises:
-        InputError: no record there, or one that cannot be read.
+        InputError: no such folder, or no record in it.
     """
-    files = sorted([*folder.rglob("run.mcap"), *folder.rglob("run.failed.mcap")])
+    files = find(folder)
     if not files:
         raise InputError(f"{folder}: no run.mcap below it")
+    read = partial(_row, folder)
+    if jobs > 1 and len(files) >= TOGETHER:
+        with ProcessPoolExecutor(jobs) as pool:
+            rows = list(pool.map(read, files, chunksize=2))
+    else:
+        rows = [read(file) for file in files]
+    places = [(str(Path(str(row["path"])).parent), row["config_hash"]) for row in rows]
+    done = {place for row, place in zip(rows, places, strict=True) if row["status"] == DONE}
+    kept = [row for row, place in zip(rows, places, strict=True) if row["status"] != FAILED or place not in done]
+    return pd.DataFrame(kept, columns=[*FACTS, *METRICS, *SCORES, "warning"])
+
+
+def summarise(runs: pd.DataFrame, by: Sequence[str] = ()) -> pd.DataFrame:
+    """One row a variant, in the order of `ORDER`.
+
+    Args:
+        runs: as `collect` gives them. by: columns that rows are apart by too, such as "scene".
+
+    Returns:
+        experiment and variant (and `by`), n runs that are done, failed, unreadable, reasons, and of each number
+        KEY, KEY_sd (sample standard deviation over the runs, NaN for one) and KEY_n.
+    """
+    keys, numbers = [*by, "experiment", "variant"], [*METRICS, *SCORES]
     rows = []
-    for file in files:
-        run = read(file)
-        row: dict[str, object] = {key: (run.provenance | run.result)[key] for key in KEYS}
-        row["failed"] = run.result["status"] != "done"
-        if not row["failed"]:
-            points, _ = posed_points(file)
-            row |= {name: metric(run, points) for name, metric in METRICS.items()}
+    for _, group in runs.groupby(keys, sort=False, dropna=False):
+        counts, values = Counter(group["status"]), group.loc[group["status"] == DONE, numbers].astype(float)
+        row: dict[str, object] = {key: group[key].iloc[0] for key in keys}
+        row |= {"n": counts[DONE], FAILED: counts[FAILED], UNREADABLE: counts[UNREADABLE]}
+        row["reasons"] = _reasons(group.loc[group["status"] == FAILED, "reason"].tolist())
+        means, spreads, given = values.mean(), values.std(ddof=1), values.count()
+        for key in numbers:
+            row |= {key: means[key], f"{key}_sd": spreads[key], f"{key}_n": given[key]}
         rows.append(row)
+    rows.sort(
+        key=lambda row: ([str(row[key]) for key in by], *variant_place(str(row["experiment"]), str(row["variant"])))
+    )
     return pd.DataFrame(rows)
 
 
-def summarise(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean of each metric by variant, with n and the number of failed runs."""
-    groups = runs.groupby(KEYS, sort=True)
-    names = [name for name in METRICS if name in runs]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of nothing is an empty cell
-        means = groups[names].agg(lambda values: np.nanmean(values.astype(float)))
-    return pd.concat([groups["failed"].agg(n="size", failed="sum"), means], axis=1).reset_index()
+def variant_place(experiment: str, variant: str) -> tuple[bool, bool, str, int, int, str]:
+    """What variants are sorted by: ours, then other systems; by experiment; the named, their combinations, the rest."""
+    parts = variant.split("+")
+    known = all(part in ORDER for part in parts)
+    first = ORDER.index(parts[0]) if known else len(ORDER)
+    return experiment == BASELINE, variant == "", experiment, len(parts) if known else 99, first, variant
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m analysis.table", description="The table of a folder of runs.")
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("runs"))
-    parser.add_argument("-o", "--out", type=Path, help="also write it as CSV")
-    arguments = parser.parse_args()
+def _row(folder: Path, path: Path) -> dict[str, object]:
+    """A record's row."""
+    row: dict[str, object] = dict.fromkeys(FACTS, "")
+    row["path"] = path.relative_to(folder).as_posix()
     try:
-        table = summarise(collect(arguments.folder))
-        if arguments.out:
-            arguments.out.parent.mkdir(parents=True, exist_ok=True)
-            table.to_csv(arguments.out, index=False)
+        facts = read_metadata(path)
+        row |= {key: facts.get(key, "") for key in (*KEYS, "seed", "config_hash")}
+        if facts.get("status") != DONE:
+            return row | {"status": FAILED, "reason": facts.get("outcome", "")}
+        record = load(path)
+        row |= {key: metric.function(record) for key, metric in METRICS.items()}
+    except InputError as error:
+        return _unreadable(row["path"], _told(error, folder))
+    except Exception as error:  # a file that passes every check and still trips a metric must not take the table along
+        reason = f"{path} is damaged: {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        return _unreadable(row["path"], _told(reason, folder))
+    row["status"] = DONE
+    try:
+        row |= read_scores(path) if sidecar_path(path).is_file() else {}
+    except InputError as error:
+        row["warning"] = _told(error, folder)
+    return row
+
+
+def _unreadable(path: object, reason: str) -> dict[str, object]:
+    return {**dict.fromkeys(FACTS, ""), "path": path, "status": UNREADABLE, "reason": reason}
+
+
+def _told(error: object, folder: Path) -> str:
+    """A message with paths as they are below the folder, so that a table says the same wherever it is made."""
+    return str(error).replace(f"{folder.as_posix().rstrip('/')}/", "")
+
+
+def _reasons(texts: list[str]) -> str:
+    counts = sorted(Counter(texts).items())
+    return "; ".join(f"{count} x {text}" if count > 1 else text for text, count in counts)
+
+
+def main(arguments: list[str] | None = None, say: Callable[[str], None] = print) -> int:
+    parser = argparse.ArgumentParser(prog="python -m analysis.table", description="The tables of a folder of runs.")
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("runs"))
+    parser.add_argument("-o", "--out", type=Path, help="folder for the tables; default: table in the folder of runs")
+    parser.add_argument("--by", action="append", choices=["scene", "seed"], default=[], help="a row for each, too")
+    parser.add_argument("--mos", type=Path, metavar="CSV", help="opinion scores of ours, from analysis.study score")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
+    options = parser.parse_args(arguments)
+    try:
+        runs = collect(options.folder, options.jobs)
+        opinions = _opinions(options.mos)
+        files = write_tables(
+            options.out or options.folder / "table", runs, summarise(runs, options.by), options.by, opinions
+        )
     except (InputError, OSError) as error:
         print(f"analysis.table: {error}", file=sys.stderr)
-        sys.exit(2)
-    print(table.to_string(index=False, na_rep="", float_format=lambda value: f"{value:.3g}"))
+        return 2
+    wrong = runs.loc[runs["status"] == UNREADABLE, "reason"].tolist() + runs["warning"].dropna().tolist()
+    for line in wrong:
+        print(f"analysis.table: {line}", file=sys.stderr)
+    counts = Counter(runs["status"])
+    said = ", ".join(f"{counts[status]} {status}" for status in (DONE, FAILED, UNREADABLE))
+    say(f"{len(runs)} records ({said}): {', '.join(file.name for file in files)} in {files[0].parent}")
+    return 2 if wrong else 0
+
+
+def _opinions(path: Path | None) -> pd.DataFrame | None:
+    """What `analysis.study score` wrote: experiment, variant, Q1 to Q4."""
+    if path is None:
+        return None
+    try:
+        scores = pd.read_csv(path, dtype={"experiment": str, "variant": str})
+    except (OSError, ValueError) as error:
+        raise InputError(f"--mos {path}: cannot be read: {' '.join(str(error).split())}") from error
+    wanted = ["experiment", "variant", "Q1", "Q2", "Q3", "Q4"]
+    if missing := [name for name in wanted if name not in scores]:
+        raise InputError(f"--mos {path}: lacks the column {missing[0]}; must have {', '.join(wanted)}")
+    return scores.loc[:, wanted].set_axis([name.lower() for name in wanted], axis="columns")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

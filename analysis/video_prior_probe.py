@@ -21,7 +21,7 @@ from hoi.data import Array
 from hoi.errors import InputError
 from hoi.motion.prior import load_prior
 from hoi.refine.sds import predict_z
-from hoi.refine.views import Framing, background, viewpoint
+from hoi.refine.views import Framing, viewpoint
 from hoi.video_prior.captions import captions
 from hoi.video_prior.clips import render
 from hoi.video_prior.contacts import OBJECT_SHARES, PEOPLE, Contact, sample_motions, stage_contact
@@ -63,10 +63,9 @@ def answers(prior: EmbeddedPrior, contact: Contact, views: int, noises: int, rng
     for _ in range(views):
         azimuth = across + rng.choice([0, math.pi]) + rng.uniform(-1, 1) * math.radians(50)
         camera = viewpoint(Framing(contact.point, CROP), azimuth, width=SIZE, height=SIZE)
-        behind = background(camera)
 
-        def latents(d: float, camera=camera, behind=behind) -> torch.Tensor:
-            return prior.encode(render(contact, d * push, camera, behind).movedim(-1, 1).clamp(0, 1))
+        def latents(d: float, camera=camera) -> torch.Tensor:
+            return prior.encode(render(contact, d * push, camera).clamp(0, 1))
 
         for row, d in enumerate(DISTANCES):
             z = latents(d)

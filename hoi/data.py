@@ -221,7 +221,7 @@ class Contact:
     frame: float
     """t_c, fractional when found between frames."""
     joint: int
-    """j_c."""
+    """j_c; -1 where the person has no joints (a mesh of another system)."""
     fraction: float
     """Share of the joint's Gaussians within d_contact of the object [-]."""
     point: Array

@@ -41,7 +41,7 @@ def interruptible() -> Iterator[None]:
 
 def _leave() -> NoReturn:
     """Ends the process at once: at its end Python may raise the signal again, and change the exit code."""
-    print("hoi: interrupted, nothing recorded", file=sys.stderr)
+    print("hoi: interrupted; what was not finished is not recorded", file=sys.stderr)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(130)

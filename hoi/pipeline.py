@@ -234,18 +234,21 @@ def finish(
 
 
 def record(run: Run, job: Job, video: "Video | None", footage: Footage | None) -> None:
-    """Write the record, `run.failed.mcap` of a run that failed, and the video; say what came of it."""
+    """Write the video and the record, `run.failed.mcap` of a run that failed; say what came of it.
+
+    The record comes last: where it is, the run is finished, and its video there.
+    """
     failed = run.result["status"] == "failed"
     path = job.path.with_name("run.failed.mcap") if failed else job.path
     if not failed:
         path.with_suffix(".mp4").unlink(missing_ok=True)  # of a run that this one replaces
     assert run.scene is not None
-    points = viewing_points(run.scene, run.state, job.config.human_points)
-    write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
     if video is not None:
         from hoi.render.encode import write_mp4
 
         write_mp4(video, path.with_suffix(".mp4"))
+    points = viewing_points(run.scene, run.state, job.config.human_points)
+    write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
     for line in (*run.scene.object.notes, summary(run.result)):
         print(line, file=sys.stderr)
 

@@ -23,7 +23,6 @@ from hoi.config import (
     RefineWhen,
     RenderBackend,
     VideoConf,
-    VideoPriorKind,
     VideoSDSConf,
     WindowConf,
     WindowedConf,
@@ -31,7 +30,7 @@ from hoi.config import (
 from hoi.data import Check, Material, Omission, Plan, Step
 from hoi.errors import InputError
 from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
-from hoi.weights import EMBEDDED_VIDEO_PRIOR, check_video_prior
+from hoi.weights import check_video_prior
 
 PARTS = {
     "no_attraction": "the attraction",
@@ -282,10 +281,6 @@ def _no_refinement(refine: RefineConf) -> str | None:
     if not isinstance(refine, WindowConf):
         return f"stage/refine is {refine.kind.value}: the output of stage 2 is final"
     if isinstance(refine, VideoSDSConf):
-        embedded = refine.prior is VideoPriorKind.embedded and refine.checkpoint is None
-        # Only until the package has its weights; without these two lines they are missing as any others would be.
-        if embedded and not EMBEDDED_VIDEO_PRIOR.is_file():
-            return "no embedded video prior in the package"
         check_video_prior(refine)
     return None
 

@@ -23,20 +23,19 @@ def omitted(plan) -> set[str]:
 @pytest.mark.parametrize(
     ("ablation", "variant", "without"),
     [
-        ("full", "no_video_sds", set()),
-        ("no_video_sds", "no_video_sds", set()),
-        ("no_attraction", "no_attraction+no_video_sds", {"attraction"}),
-        ("no_contact", "no_contact+no_video_sds", {"contact"}),
-        ("no_mdm", "no_mdm+no_video_sds", {"motion"}),
-        ("no_mpm", "no_mpm+no_video_sds", {"MPM"}),
+        ("full", "full", set()),
+        ("no_video_sds", "no_video_sds", {"refine"}),
+        ("no_attraction", "no_attraction", {"attraction"}),
+        ("no_contact", "no_contact", {"contact"}),
+        ("no_mdm", "no_mdm", {"motion"}),
+        ("no_mpm", "no_mpm", {"MPM"}),
     ],
 )
 def test_each_ablation_leaves_out_its_part(plan, ablation, variant, without):
-    """Without a video prior in the package a full run says that it goes without."""
     made = plan(f"ablation={ablation}")
     assert made.variant == variant
-    assert without | {"refine"} <= omitted(made)
-    for part in {"attraction", "contact", "motion", "MPM"} - without:
+    assert without <= omitted(made)
+    for part in {"attraction", "contact", "motion", "MPM", "refine"} - without:
         assert part not in omitted(made) or (ablation == "no_contact" and part == "MPM")
 
 
@@ -46,7 +45,7 @@ def test_label_that_contradicts_the_ablation_is_refused(plan):
 
 
 def test_full_claims_nothing(plan):
-    assert plan("ablation=full", "stage/object=constant_velocity").variant == "no_mpm+no_video_sds"
+    assert plan("ablation=full", "stage/object=constant_velocity").variant == "no_mpm"
 
 
 def test_own_motion_says_where_the_prior_is_used(plan, tmp_path):
@@ -56,7 +55,7 @@ def test_own_motion_says_where_the_prior_is_used(plan, tmp_path):
     own = ["stage/motion=file", f"stage.motion.path={file}"]
     made = plan(*own)
     (motion,) = [step for step in made.steps if step.name == "motion"]
-    assert made.variant == "motion_from_file+no_video_sds" and motion.implementation == "file"
+    assert made.variant == "motion_from_file" and motion.implementation == "file"
     assert str(file) in motion.reason and motion.reason.endswith("used in L_HMSD of stage 2 alone")
     for unused in ("stage.coordinate.lambda_hmsd=0", "stage.coordinate.iterations=0"):
         made = plan(*own, unused)
@@ -164,7 +163,7 @@ def test_refused_before_the_run(plan, overrides, message):
 def test_printed_plan(plan):
     text = format_plan(plan("ablation=no_mpm"))
     lines = text.splitlines()
-    assert lines[0] == "variant no_mpm+no_video_sds"
+    assert lines[0] == "variant no_mpm"
     assert [line.split()[:3] for line in lines[1:6]] == [
         ["RUN", "free_motion", "constant_velocity"],
         ["RUN", "motion", "hmsd"],

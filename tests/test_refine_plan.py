@@ -14,22 +14,12 @@ def plan(composed):
     return lambda *overrides: make_plan(to_config(composed(*overrides)))
 
 
-@pytest.fixture
-def embedded(tmp_path, monkeypatch):
-    """As if the package had the video prior's weights."""
-    file = tmp_path / "video_prior.safetensors"
-    file.touch()
-    for module in ("weights", "plan"):
-        monkeypatch.setattr(f"hoi.{module}.EMBEDDED_VIDEO_PRIOR", file)
-    return file
-
-
 def step(made) -> tuple[str, str]:
     (found,) = (step for step in made.steps if step.name == "refine")
     return found.implementation, found.reason
 
 
-def test_video_sds_is_the_full_method(plan, embedded):
+def test_video_sds_is_the_full_method(plan):
     made = plan()
     assert made.variant == "full"
     kind, reason = step(made)

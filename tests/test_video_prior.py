@@ -148,13 +148,13 @@ def test_clean_and_flawed_differ_by_the_contact_alone(staged: list[contacts.Cont
 
 
 def test_pictures_follow_the_push(staged: list[contacts.Contact]) -> None:
-    from hoi.refine.views import Framing, background, viewpoint
+    from hoi.refine.views import Framing, viewpoint
 
     contact = staged[0]
     azimuth = np.arctan2(contact.strike[1], contact.strike[0]) + np.pi / 2
     camera = viewpoint(Framing(contact.point, 0.28), azimuth, width=SIZE, height=SIZE)
     shift = torch.zeros(CLIP_FRAMES, 3, requires_grad=True)
-    video = render(contact, shift, camera, background(camera))
+    video = render(contact, shift, camera)
     video[2].square().sum().backward()
     assert shift.grad is not None
     assert shift.grad[2].abs().sum() > 0

@@ -33,6 +33,7 @@ class GaussianPrior:
     """p(z | prompt) = N(mean, covariance), p(z) = N(0, covariance), whose v is known: latents are the pixels."""
 
     name, crop, size, alphas_cumprod = "a Gaussian", 0.25, (SIZE, SIZE), ALPHAS
+    sees_silhouettes = False
 
     def __init__(self, mean: Tensor, covariance: Tensor | float = 1e-4, frames: int = 5) -> None:
         self.mean, self.covariance, self.frames = mean, covariance, frames

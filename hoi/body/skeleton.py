@@ -13,8 +13,8 @@ POSE_FEATURES = 9 * (JOINT_COUNT - 1)
 LIMBS = {
     "left_foot": (7, 10),
     "right_foot": (8, 11),
-    "left_knee": (4,),
-    "right_knee": (5,),
+    "left_knee": (4, 1),  # the skin above the kneecap goes with the thigh
+    "right_knee": (5, 2),
     "left_leg": (4, 7, 10),
     "right_leg": (5, 8, 11),
     "left_hand": (20, 22),

@@ -253,6 +253,6 @@ SHAPES = {
     "beach_ball": Shape("ball", (0.4, 0.4, 0.4), _beach_ball),
     "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012)),
     "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly),
-    "clay_block": Shape("box", (0.28, 0.28, 0.75), _speckled((0.58, 0.36, 0.24), 0.10, 0.025)),
-    "snow_block": Shape("box", (0.45, 0.45, 1.1), _speckled((0.90, 0.93, 0.97), 0.04, 0.02)),
+    "clay_block": Shape("box", (0.2, 0.2, 0.2), _speckled((0.58, 0.36, 0.24), 0.10, 0.025)),
+    "snow_block": Shape("box", (0.3, 0.3, 0.3), _speckled((0.90, 0.93, 0.97), 0.04, 0.02)),
 }

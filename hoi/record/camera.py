@@ -28,11 +28,15 @@ class Footage:
     """H.264 access units in Annex B, a picture each, in the order in which they are shown: joined they are a stream
     that players take. No B-frames; parameter sets with every key frame."""
     cameras: tuple[Camera, ...]
-    """Which took each of them."""
+    """Which took each of them; empty where no one knows, as of another system's video."""
+    fps: float | None = None
+    """Pictures a second of a video without cameras; None where there is a picture a frame of the run."""
 
     def __post_init__(self) -> None:
-        if len(self.units) != len(self.cameras):
+        if self.cameras and len(self.units) != len(self.cameras):
             raise ValueError(f"{len(self.units)} pictures and {len(self.cameras)} cameras")
+        if bool(self.cameras) != (self.fps is None):
+            raise ValueError("a video has either cameras or a frame rate of its own")
 
     def __len__(self) -> int:
         return len(self.units)
@@ -48,23 +52,28 @@ def poses(cameras: Sequence[Camera]) -> tuple[Array, Array]:
 
 
 def messages(footage: Footage, times: Sequence[int]) -> Iterator[tuple[int, str, bytes]]:
-    """(time [ns], topic, protobuf bytes), a picture and its calibration a frame."""
-    for time, unit, camera in zip(times, footage.units, footage.cameras, strict=False):
-        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-        calibration = CameraCalibration(
-            timestamp=timestamp(time),
-            frame_id=CAMERA,
-            width=camera.width,
-            height=camera.height,
-            distortion_model=NO_DISTORTION,
-            D=[0.0] * 5,
-            K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
-            R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
-            P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
-        )
-        yield time, "/camera/calibration", calibration.SerializeToString(deterministic=True)
+    """(time [ns], topic, protobuf bytes): a picture a frame, and its calibration where there is one."""
+    cameras = footage.cameras or (None,) * len(footage)
+    for time, unit, camera in zip(times, footage.units, cameras, strict=False):
+        if camera is not None:
+            yield time, "/camera/calibration", _calibration(time, camera).SerializeToString(deterministic=True)
         picture = CompressedVideo(timestamp=timestamp(time), frame_id=CAMERA, data=unit, format=FORMAT)
         yield time, "/camera/video", picture.SerializeToString(deterministic=True)
+
+
+def _calibration(time: int, camera: Camera) -> CameraCalibration:
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    return CameraCalibration(
+        timestamp=timestamp(time),
+        frame_id=CAMERA,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=NO_DISTORTION,
+        D=[0.0] * 5,
+        K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+        R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+        P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
+    )
 
 
 def camera_of(calibration: CameraCalibration, place: FrameTransform) -> Camera:

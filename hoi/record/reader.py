@@ -13,8 +13,9 @@ from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
-from mcap.reader import McapReader, make_reader
+from mcap.reader import McapReader, SeekingReader
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from hoi.data import (
     Array,
@@ -33,8 +34,17 @@ from hoi.data import (
 )
 from hoi.errors import InputError
 from hoi.record.camera import Footage, camera_of
+from hoi.record.checks import Refused, check_chunks, check_names, check_npz, check_run
 from hoi.record.parts import history_from_csv, restore, scene_from_files
-from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, POINT, ObjectState, to_array
+from hoi.record.schemas import (
+    FORMAT,
+    JSON_SCHEMAS,
+    MOTION_ARRAYS,
+    OBJECT_ARRAYS,
+    POINT,
+    PROTOBUF_SCHEMAS,
+    ObjectState,
+)
 from hoi.record.views import CAMERA
 
 
@@ -46,15 +56,19 @@ def read(path: Path) -> Run:
     """
     with _opened(path) as reader:
         metadata = _metadata(reader, path)
-        files = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+        attachments = list(reader.iter_attachments())
+        check_names(attachment.name for attachment in attachments)
+        files = {attachment.name: attachment.data for attachment in attachments}
         needed = ["config.yaml", "plan.json", "state.json", "reports.json", "history.csv"]
         needed += ["body.npz", "object.npz"] if "scene.json" in files else []
         for name in needed:
             if name not in files:
                 raise InputError(f"{path} lacks its attachment {name}")
+            if name.endswith(".npz"):
+                check_npz(name, files[name])
         facts = json.loads(files["state.json"])
         plan = json.loads(files["plan.json"])
-        return Run(
+        run = Run(
             config_yaml=files["config.yaml"].decode(),
             provenance=metadata["hoi.run"],
             result=metadata["hoi.result"],
@@ -69,6 +83,8 @@ def read(path: Path) -> Run:
             scene=scene_from_files(files) if "scene.json" in files else None,
             state=_state(reader, facts, path),
         )
+        check_run(run)
+        return run
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -90,10 +106,8 @@ def posed_points(path: Path) -> tuple[Array, Array]:
     """
     with _opened(path) as reader:
         _metadata(reader, path)
-        clouds = [
-            np.frombuffer(PointCloud.FromString(data).data, POINT) for data in _topic(reader, "/human/points", path)
-        ]
-    positions = np.stack([np.stack([cloud[axis] for axis in "xyz"], -1) for cloud in clouds])
+        clouds = [_points(PointCloud.FromString(data)) for data in _topic(reader, "/human/points", path)]
+        positions = np.stack([np.stack([cloud[axis] for axis in "xyz"], -1) for cloud in clouds])
     colours = np.stack([clouds[0][name] for name in ("red", "green", "blue")], -1)
     return positions, colours / np.float32(255)
 
@@ -118,12 +132,21 @@ def video(path: Path) -> Footage:
     """
     with _opened(path) as reader:
         _metadata(reader, path)
-        pictures = [message.data for _, _, message in reader.iter_messages(["/camera/video"])]
+        messages = [message for _, _, message in reader.iter_messages(["/camera/video"])]
+        pictures = [message.data for message in messages]
         if not pictures:
             raise InputError(f"{path} has no video: its run failed, or was made with render=none")
-        calibrations = _topic(reader, "/camera/calibration", path, len(pictures))
-        transforms = [FrameTransforms.FromString(data).transforms for data in _topic(reader, "/tf", path)]
+        transforms = [FrameTransforms.FromString(m.data).transforms for _, _, m in reader.iter_messages(["/tf"])]
         places = [place for frame in transforms for place in frame if place.child_frame_id == CAMERA]
+        summary = reader.get_summary()
+        calibrated = summary is None or any(c.topic == "/camera/calibration" for c in summary.channels.values())
+        if not calibrated and not places:  # another system's
+            units = tuple(CompressedVideo.FromString(data).data for data in pictures)
+            seconds = (messages[-1].log_time - messages[0].log_time) / 1e9
+            return Footage(units, (), round((len(units) - 1) / seconds, 6))
+        calibrations = _topic(reader, "/camera/calibration", path, len(pictures))
+        if not transforms:
+            raise InputError(f"{path} has no messages on /tf")
         if len(places) != len(pictures):
             raise InputError(f"{path} has {len(places)} frames {CAMERA} on /tf where {len(pictures)} should be")
         cameras = [
@@ -164,9 +187,16 @@ def _opened(path: Path) -> Iterator[McapReader]:
                 raise InputError(f"{path} is not an MCAP file")
             if path.suffix == ".part" or tail != MCAP0_MAGIC or size < 2 * len(MCAP0_MAGIC):
                 raise InputError(f"{path} is an unfinished record (no footer): its run was stopped or is still going")
-            yield make_reader(file, validate_crcs=True)
+            # No part of a file is longer than the file: what claims to be is refused before it is allocated.
+            reader = SeekingReader(file, validate_crcs=True, record_size_limit=size)
+            if (summary := reader.get_summary()) is None:
+                raise InputError(f"{path} is an MCAP, but none that hoi wrote (no summary)")
+            check_chunks(file, summary.chunk_indexes)
+            yield reader
     except InputError:
         raise
+    except Refused as error:
+        raise InputError(f"{path} is damaged: {error}") from error
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except OSError as error:
@@ -190,24 +220,60 @@ def _metadata(reader: McapReader, path: Path) -> dict[str, dict[str, str]]:
 
 def _topic(reader: McapReader, topic: str, path: Path, count: int | None = None) -> list[bytes]:
     """The messages of a topic; some, or as many as `count`, must be there."""
-    messages = [message.data for _, _, message in reader.iter_messages([topic])]
-    if count is None and not messages:
-        raise InputError(f"{path} has no messages on {topic}")
-    if count is not None and len(messages) != count:
-        raise InputError(f"{path} has {len(messages)} messages on {topic} where {count} should be")
-    return messages
+    return _topics(reader, {topic: count}, path)[topic]
+
+
+def _topics(reader: McapReader, counts: dict[str, int | None], path: Path) -> dict[str, list[bytes]]:
+    """The messages of several topics, as many of each as `_topic` wants, in one pass over the file."""
+    found: dict[str, list[bytes]] = {topic: [] for topic in counts}
+    checked: set[int] = set()
+    for schema, channel, message in reader.iter_messages(list(counts)) if counts else ():
+        if channel.id not in checked:
+            wanted, encoding = _schema_of(channel.topic)
+            if schema is None or (schema.name, channel.message_encoding) != (wanted, encoding):
+                what = f"{channel.message_encoding} {None if schema is None else schema.name}"
+                raise InputError(f"{path} has {what[:80]} on {channel.topic}, must be {encoding} {wanted}")
+            checked.add(channel.id)
+        found[channel.topic].append(message.data)
+    for topic, count in counts.items():
+        if count is None and not found[topic]:
+            raise InputError(f"{path} has no messages on {topic}")
+        if count is not None and len(found[topic]) != count:
+            raise InputError(f"{path} has {len(found[topic])} messages on {topic} where {count} should be")
+    return found
+
+
+def _schema_of(topic: str) -> tuple[str, str]:
+    """Name and encoding of what a topic holds."""
+    if topic in JSON_SCHEMAS:
+        return JSON_SCHEMAS[topic]["title"], "json"
+    return PROTOBUF_SCHEMAS[topic].DESCRIPTOR.full_name, "protobuf"
+
+
+def _points(cloud: PointCloud) -> NDArray[np.void]:
+    """The packed points of a cloud; a view."""
+    layout = [(field.name, field.offset) for field in cloud.fields]
+    if cloud.point_stride != POINT.itemsize or layout != [(n, f[1]) for n, f in (POINT.fields or {}).items()]:
+        raise Refused(f"/human/points has points of {cloud.point_stride} bytes, must be {POINT.names}")
+    return np.frombuffer(cloud.data, POINT)
 
 
 def _state(reader: McapReader, facts: dict[str, Any], path: Path) -> State:
     motion = trajectory = contact = None
+    topics = {
+        "motion": ("/human/motion", "frames"),
+        "trajectory": ("/object/state", "frames"),
+        "contact": ("/contact", "contacts"),
+    }
+    counts = {topic: int(facts[part][key]) for part, (topic, key) in topics.items() if facts[part] is not None}
+    messages = _topics(reader, {topic: count for topic, count in counts.items() if count}, path)
     if facts["motion"] is not None:
-        motion = _motion(_topic(reader, "/human/motion", path, facts["motion"]["frames"]), facts["motion"])
+        motion = _motion(messages["/human/motion"], facts["motion"])
     if facts["trajectory"] is not None:
-        trajectory = _trajectory(_topic(reader, "/object/state", path, facts["trajectory"]["frames"]))
+        trajectory = _trajectory(messages["/object/state"])
     if facts["contact"] is not None:
-        messages = _topic(reader, "/contact", path, facts["contact"]["contacts"])
         contact = ContactSearch(
-            contacts=tuple(restore(Contact, json.loads(message)) for message in messages),
+            contacts=tuple(restore(Contact, json.loads(message)) for message in messages.get("/contact", ())),
             smallest_gap=float(facts["contact"]["smallest_gap"]),
             smallest_gap_frame=float(facts["contact"]["smallest_gap_frame"]),
             smallest_gap_joint=int(facts["contact"]["smallest_gap_joint"]),
@@ -226,9 +292,20 @@ def _motion(messages: list[bytes], facts: dict[str, Any]) -> Motion:
 def _trajectory(messages: list[bytes]) -> ObjectTrajectory:
     states = [ObjectState.FromString(message) for message in messages]
     arrays = {
-        name: np.stack([to_array(getattr(state, name)) for state in states])
+        name: np.stack([_array(getattr(state, name)) for state in states])
         for name in OBJECT_ARRAYS
         if states[0].HasField(name)
     }
     phase = tuple(state.phase for state in states)
     return ObjectTrajectory(**arrays, phase=phase if any(phase) else ())
+
+
+def _array(message: Any) -> Array:
+    """The inverse of `hoi.record.schemas.array_fields`; a view of the message."""
+    dtype, shape = np.dtype(message.dtype), tuple(message.shape)
+    size = dtype.itemsize
+    for extent in shape:
+        size *= extent
+    if dtype.kind not in "fiu" or size != len(message.data):
+        raise Refused(f"/object/state claims {shape} of {dtype.str}, it has {len(message.data)} bytes")
+    return np.frombuffer(message.data, dtype).reshape(shape)

@@ -120,11 +120,6 @@ def array_fields(array: Array) -> dict[str, Any]:
     return {"dtype": array.dtype.str, "shape": array.shape, "data": array.tobytes()}
 
 
-def to_array(message: Any) -> Array:
-    """The inverse of `array_fields`; the array owns its memory."""
-    return np.frombuffer(message.data, np.dtype(message.dtype)).reshape(tuple(message.shape)).copy()
-
-
 def channels(writer: Writer) -> Callable[[str], int]:
     """A function that gives a topic's channel id and registers it with its schema when it is first asked for."""
     known: dict[str, int] = {}

@@ -46,7 +46,8 @@ def write(
         human_colours: their colours in [0, 1], shape (M, 3).
         plan_text: the plan as it was printed.
         object_stride: every which of the object's Gaussians to show in `/object/points`; `/object/state` has them all.
-        footage: the video of the run, a picture a frame.
+        footage: the video of the run, a picture a frame; without cameras it has a frame rate of its own, and needs no
+            scene.
 
     Raises:
         InputError: the path cannot be written to.
@@ -58,7 +59,7 @@ def write(
         raise ValueError("a run without a scene can have no state")
     if (human_points is None) != (human_colours is None):
         raise ValueError("human_points and human_colours go together")
-    if footage is not None and len(footage) != _frames(run):
+    if footage is not None and footage.cameras and len(footage) != _frames(run):
         raise ValueError(f"a video of {len(footage)} pictures for a run of {_frames(run)} frames")
     with _whole_file(path) as file:
         writer = Writer(file)
@@ -133,14 +134,18 @@ def _messages(
     run: Run, points: Array | None, colours: Array | None, object_stride: int, footage: Footage | None
 ) -> Iterator[Message]:
     """All messages in the order of their times; each stream is in order already."""
+    streams = []
+    if footage is not None and footage.fps is not None:
+        own_times = [_nanoseconds(picture, footage.fps) for picture in range(len(footage))]
+        streams.append(camera_messages(footage, own_times))
     if run.scene is None:
-        return iter(())
+        return heapq.merge(*streams, key=lambda message: message[0])
     state, fps = run.state, run.scene.fps
     frames = max(_frames(run), 0 if points is None else len(points))
     times = [_nanoseconds(frame, fps) for frame in range(frames)]
-    camera_poses = None if footage is None else poses(footage.cameras)
-    streams = [views(run, times, points, colours, object_stride, camera_poses)]
-    if footage is not None:
+    camera_poses = None if footage is None or not footage.cameras else poses(footage.cameras)
+    streams.append(views(run, times, points, colours, object_stride, camera_poses))
+    if footage is not None and footage.fps is None:
         streams.append(camera_messages(footage, times))
     if state.motion is not None:
         streams.append(_motion(state.motion, times))
@@ -194,4 +199,5 @@ def _contacts(contacts: tuple[Contact, ...], fps: float) -> Iterator[Message]:
     for contact in sorted(contacts, key=lambda contact: contact.frame):
         time = _nanoseconds(contact.frame, fps)
         facts = {f: getattr(contact, f) for f in contact.__dataclass_fields__}
-        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": JOINT_NAMES[contact.joint], **facts})
+        name = JOINT_NAMES[contact.joint] if contact.joint >= 0 else ""
+        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": name, **facts})

@@ -1,7 +1,7 @@
 """The clip that the video prior sees of a scene: rendered frames, those of the window differentiable in theta.
 
 What does not change is drawn once a viewpoint. No depth, and no gradient to what is not theta: colours, opacities and
-the object are constants.
+the object are constants. A clip is of pictures, or of silhouettes for a prior that has learned those.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from torch import Tensor
 from hoi.body.skeleton import JOINT_COUNT, PARENTS
 from hoi.body.skinning import joint_paths
 from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Plan, Run, Scene, State
+from hoi.refine.silhouettes import coverage, silhouettes
 from hoi.refine.views import Framing, background, ring
 from hoi.refine.window import Window
 from hoi.render import cameras
@@ -21,7 +22,7 @@ from hoi.render.cameras import Camera
 from hoi.render.film import has_floor
 from hoi.render.rasterise import rasterise, render_frames
 from hoi.render.replay import Replay, person_tensors, posed, replay
-from hoi.render.splats import join
+from hoi.render.splats import Splats, join
 
 CACHE = 2**29
 """Bytes of pictures that are kept; those of further viewpoints are drawn whenever they are wanted."""
@@ -38,12 +39,15 @@ class Clip:
         window: Window,
         frames: Sequence[int],
         device: torch.device | str = "cpu",
+        *,
+        as_silhouettes: bool = False,
     ) -> None:
         """
         Args:
             frames: scene frames of the clip, in order; those of the window stand side by side.
+            as_silhouettes: of limb, rest of the person and object (`hoi.refine.silhouettes`), not pictures.
         """
-        self.window = window
+        self.window, self.as_silhouettes = window, as_silhouettes
         self.frames = tuple(frames)
         places = [place for place, frame in enumerate(frames) if frame in window.frames]
         self.changing = slice(places[0], places[-1] + 1)
@@ -56,13 +60,14 @@ class Clip:
             for array in (motion.translation, motion.orientation, motion.body_pose)
         )
         moved = moved_by(scene.body, window.moving)
+        self._moved = torch.from_numpy(moved).to(device)
         self._limb = person_tensors(subset(scene.body, np.flatnonzero(moved)), device=device)
         rest = person_tensors(subset(scene.body, np.flatnonzero(~moved)), device=device)
         with torch.no_grad():
             things = [self._shown.parts(frame)[1] for frame in window.frames]
             others = posed(rest, self._translation, self._orientation, before)
         self._still = [(other, thing) for other, thing in zip(others, things, strict=True)]
-        self._kept: dict[Camera, tuple[Tensor, dict[int, Tensor]]] = {}
+        self._kept: dict[Camera, tuple[Tensor | None, dict[int, Tensor]]] = {}
         self._room = CACHE
 
     def action(self) -> np.ndarray:
@@ -70,7 +75,7 @@ class Clip:
         return self._shown.action().points(sorted(set(self.frames)))
 
     def render(self, camera: Camera, body_pose: Tensor) -> Tensor:
-        """RGB in [0, 1], (F, 3, height, width), differentiable in theta.
+        """RGB, or the three silhouettes, in [0, 1], (F, 3, height, width), differentiable in theta.
 
         Args:
             body_pose: theta of the window's frames, (W, 23, 3) [rad].
@@ -80,26 +85,43 @@ class Clip:
         """
         behind, pictures = self._constant(camera)
         limbs = posed(self._limb, self._translation, self._orientation, body_pose)
-        changed = {
-            frame: rasterise(join([limb, *still]), camera, behind).colour
-            for frame, limb, still in zip(self.window.frames, limbs, self._still, strict=True)
-        }
+        changed = {}
+        for frame, limb, still in zip(self.window.frames, limbs, self._still, strict=True):
+            if behind is None:
+                changed[frame] = torch.stack([coverage(limb, camera), *pictures[frame]])
+            else:
+                changed[frame] = rasterise(join([limb, *still]), camera, behind).colour.movedim(-1, 0)
         clip = torch.stack([changed[frame] if frame in changed else pictures[frame] for frame in self.frames])
-        return clip.movedim(-1, 1).clamp(0, 1)
+        return clip.clamp(0, 1)
 
-    def _constant(self, camera: Camera) -> tuple[Tensor, dict[int, Tensor]]:
-        """The background, and the pictures of the frames outside the window."""
+    def _constant(self, camera: Camera) -> tuple[Tensor | None, dict[int, Tensor]]:
+        """What theta does not change, drawn once: the background of pictures, and what is known of each frame."""
         if camera in self._kept:
             return self._kept[camera]
-        behind = background(camera, floor=self._floor, device=self._device)
-        outside = sorted(set(self.frames) - set(self.window.frames))
-        drawn = render_frames((self._shown.parts(frame) for frame in outside), camera, behind)
-        found = behind, {frame: picture.colour for frame, picture in zip(outside, drawn, strict=True)}
-        size = behind.element_size() * behind.numel() * (1 + len(outside))
+        found = self._still_silhouettes(camera) if self.as_silhouettes else self._still_pictures(camera)
+        size = sum(each.element_size() * each.numel() for each in (found[0], *found[1].values()) if each is not None)
         if size <= self._room:
             self._room -= size
             self._kept[camera] = found
         return found
+
+    def _still_pictures(self, camera: Camera) -> tuple[Tensor, dict[int, Tensor]]:
+        """The background (height, width, 3), and the pictures (3, height, width) of the frames outside the window."""
+        behind = background(camera, floor=self._floor, device=self._device)
+        outside = sorted(set(self.frames) - set(self.window.frames))
+        drawn = render_frames((self._shown.parts(frame) for frame in outside), camera, behind)
+        return behind, {frame: picture.colour.movedim(-1, 0) for frame, picture in zip(outside, drawn, strict=True)}
+
+    @torch.no_grad()
+    def _still_silhouettes(self, camera: Camera) -> tuple[None, dict[int, Tensor]]:
+        """(3, height, width) of the frames outside the window; in it of all but the limb, (2, height, width)."""
+        found = {}
+        for frame in sorted(set(self.frames) - set(self.window.frames)):
+            person, thing = self._shown.parts(frame)
+            found[frame] = silhouettes(chosen(person, self._moved), chosen(person, ~self._moved), thing, camera)
+        for frame, still in zip(self.window.frames, self._still, strict=True):
+            found[frame] = torch.stack([coverage(part, camera) for part in still])
+        return None, found
 
 
 def viewpoints(
@@ -152,6 +174,12 @@ def moved_by(body: Body, joints: Sequence[int]) -> np.ndarray:
         columns = body.pose_directions.reshape(len(body.cloud), 3, JOINT_COUNT - 1, 9)[:, :, np.array(joints) - 1]
         moved |= np.abs(columns).max(axis=(1, 2, 3)) > 0
     return np.asarray(moved)
+
+
+def chosen(splats: Splats, rows: torch.Tensor) -> Splats:
+    """Some of the Gaussians, by a mask (N,)."""
+    turns = None if splats.turns is None else splats.turns[rows]
+    return Splats(splats.means[rows], splats.covariances[rows], splats.opacities[rows], splats.sh[rows], turns)
 
 
 def subset(body: Body, rows: np.ndarray) -> Body:

@@ -146,7 +146,7 @@ def refine_with(
     stage.notes.append(f"video prior: {prior.name}")
     pose = WindowedPose(motion, window, device)
     frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
-    clip = Clip(scene, motion, trajectory, window, frames, device)
+    clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
     contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
     views = viewpoints(clip, contact, conf.viewpoints, conf.elevation, conf.distance, prior.size)
     draws = Draws(seed)

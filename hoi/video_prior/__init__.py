@@ -16,7 +16,7 @@ from hoi.config import VideoSDSConf
 class VideoPrior(Protocol):
     """What `hoi.refine.sds` asks of a prior. Nothing in it is trained there, and no gradient flows through `velocity`.
 
-    Whatever the prior, pictures are RGB in [0, 1], channels first.
+    Whatever the prior, pictures have three channels in [0, 1], channels first: RGB, or what `sees_silhouettes` says.
     """
 
     @property
@@ -37,6 +37,11 @@ class VideoPrior(Protocol):
     @property
     def crop(self) -> float | None:
         """Half of what its pictures show around the point of contact, on their shorter side [m]; None: the action."""
+        ...
+
+    @property
+    def sees_silhouettes(self) -> bool:
+        """Whether it wants `hoi.refine.silhouettes` instead of colours."""
         ...
 
     def prepare(self, prompt: str, negative_prompt: str) -> None:

@@ -1,8 +1,8 @@
 """Clips of contacts as the prior is to see them: drawn from around, clean and flawed side by side.
 
 A scene is seen from a few directions. Each view holds the same contact with each flaw, the limb inside the object and
-a gap, and beside each the clean one through the very same camera, under one light and before one background: the two
-differ by what a good prior should mend, and by nothing else.
+a gap, and beside each the clean one through the very same camera: the two differ by what a good prior should mend, and
+by nothing else. Clips are of silhouettes, as stage 3 shows them to the prior.
 """
 
 import math
@@ -20,10 +20,10 @@ from tqdm import tqdm
 
 from hoi.errors import InputError
 from hoi.motion.prior import MotionPrior, load_prior
-from hoi.refine.views import Framing, background, viewpoint
+from hoi.refine.clip import chosen
+from hoi.refine.silhouettes import silhouettes
+from hoi.refine.views import Framing, viewpoint
 from hoi.render.cameras import CIRCLE_ELEVATION, Camera
-from hoi.render.rasterise import rasterise
-from hoi.render.splats import Splats, join
 from hoi.video_prior.contacts import FLAWS, OBJECT_SHARES, PEOPLE, Contact, sample_motions, spoil, stage_contact
 from hoi.video_prior.embedded import CLIP_FRAMES, CROP, SIZE
 
@@ -34,11 +34,6 @@ FROM_THE_SIDE, SIDEWAYS = 0.8, math.radians(50)
 ELEVATION_SPREAD = math.radians(12)
 CENTRE_NOISE = 0.03
 """Standard deviation of the framing's centre about the point of contact, along each axis [m]."""
-PLAIN_BACKGROUND = 0.4
-"""Share of the views before a plain colour; the others are before the floor and sky of a video."""
-EXPOSURE, TINT = (0.7, 1.15), (0.9, 1.1)
-BORDER = 0.05
-"""How far outside the picture a Gaussian may lie and still reach into it [m]."""
 MOTIONS_PER_SCENE = 0.2
 """How many motions are drawn from the motion prior for each scene."""
 SHARD = 256
@@ -78,38 +73,24 @@ def draw(contact: Contact, shifts: list[np.ndarray], rng: np.random.Generator) -
     elevation = CIRCLE_ELEVATION + rng.uniform(-1, 1) * ELEVATION_SPREAD
     near = int(np.abs(contact.times).argmin())
     around = contact.point + rng.normal(0, CENTRE_NOISE, 3)
-    plain = torch.from_numpy(rng.uniform(0, 1, 3)).float() if rng.uniform() < PLAIN_BACKGROUND else None
-    light = torch.from_numpy(rng.uniform(*EXPOSURE) * rng.uniform(*TINT, 3)).float()
-    mixed = contact.thing.sh[..., rng.permutation(3)] if rng.uniform() < 0.5 else contact.thing.sh
-    thing = replace(contact.thing, sh=mixed)
-    shown, pairs = replace(contact, thing=thing), []
+    pairs = []
     for shift in shifts:
         # Where in the picture limb and object are must not give the flaw away.
         centre = around + rng.uniform(0, 1) * shift[near]
         camera = viewpoint(Framing(centre, CROP), azimuth, elevation, width=SIZE, height=SIZE)
-        behind = background(camera) if plain is None else plain
         moves = (torch.from_numpy(move).float() for move in (np.zeros_like(shift), shift))
-        pairs.append(torch.stack([render(shown, move, camera, behind) * light for move in moves]))
-    return (torch.stack(pairs).clamp(0, 1) * 255).round().byte().numpy()
+        pairs.append(torch.stack([render(contact, move, camera) for move in moves]))
+    return (torch.stack(pairs).clamp(0, 1) * 255).round().byte().movedim(-3, -1).numpy()
 
 
-def render(contact: Contact, shift: Tensor, camera: Camera, behind: Tensor) -> Tensor:
-    """RGB (F, height, width, 3) of a contact with the person moved by `shift` (F, 3) [m]; differentiable in it."""
-    frames = []
+def render(contact: Contact, shift: Tensor, camera: Camera) -> Tensor:
+    """Silhouettes (F, 3, height, width) of a contact with the person moved by `shift` (F, 3) [m]; differentiable."""
+    limb, frames = torch.from_numpy(contact.chain), []
     for person, place, at in zip(contact.body, shift, contact.centres, strict=True):
         moved = replace(person, means=person.means + place)
         thing = replace(contact.thing, means=contact.thing.means + torch.from_numpy(at).float())
-        frames.append(rasterise(_in_view(join([moved, thing]), camera), camera, behind).colour)
+        frames.append(silhouettes(chosen(moved, limb), chosen(moved, ~limb), thing, camera))
     return torch.stack(frames)
-
-
-def _in_view(splats: Splats, camera: Camera) -> Splats:
-    """Without what no pixel shows, which is most of a person."""
-    pose = torch.from_numpy(camera.world_to_camera).float()
-    x, y, z = (splats.means @ pose[:3, :3].T + pose[:3, 3]).T
-    reach = z * (camera.width / 2 / camera.fx) + BORDER
-    seen = torch.nonzero((z > camera.near) & (x.abs() < reach) & (y.abs() < reach))[:, 0]
-    return Splats(splats.means[seen], splats.covariances[seen], splats.opacities[seen], splats.sh[seen])
 
 
 def make_clips(views: int, seed: int, prior: MotionPrior, done: Callable[[], object] = lambda: None) -> Clips:

@@ -55,6 +55,7 @@ class CogVideoX:
     """The prior; see `hoi.video_prior.VideoPrior`. Made by `load_cogvideox`."""
 
     crop = None
+    sees_silhouettes = False
 
     def __init__(self, files: Files, conf: VideoSDSConf, device: torch.device | str) -> None:
         self.name = f"CogVideoX, {files.folder}"

@@ -18,6 +18,7 @@ from hoi.body.interpolate import interpolate_motion
 from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.body.skinning import joint_paths
+from hoi.collision import CHAINS
 from hoi.contact import impulse
 from hoi.data import Array, Body, Motion
 from hoi.motion.diffusion import ancestral_sample
@@ -25,6 +26,7 @@ from hoi.motion.features import FEATURE_COUNT, decode
 from hoi.motion.prior import MotionPrior
 from hoi.motion.sample import on_body
 from hoi.objects import shapes
+from hoi.refine.clip import moved_by
 from hoi.render.replay import Person, person_tensors, posed
 from hoi.render.splats import Splats, from_cloud
 from hoi.video_prior.embedded import CLIP_FRAMES, FPS
@@ -137,6 +139,8 @@ class Contact:
     """Of the frames, from t_c [frame], (F,)."""
     body: list[Splats]
     """In each frame, F."""
+    chain: NDArray[np.bool_]
+    """Which of the person's Gaussians are of the limb that touches, (N,)."""
     thing: Splats
     """The object, turned, with its centre at the origin."""
 
@@ -151,6 +155,13 @@ def people() -> dict[str, tuple[Body, Person]]:
     """Those of the package, ready to be posed."""
     bodies = {name: load_person(name, PERSON_GAUSSIANS) for name in PEOPLE}
     return {name: (body, person_tensors(body)) for name, body in bodies.items()}
+
+
+@cache
+def of_chain(person: str, joint: int) -> NDArray[np.bool_]:
+    """Which of a person's Gaussians move with the limb of a joint, as in stage 3, (N,)."""
+    chain = next(joints for joints in CHAINS.values() if joint in joints)
+    return moved_by(people()[person][0], [joint for joint in chain if joint > 0])
 
 
 @cache
@@ -218,9 +229,9 @@ def stage_contact(
         return None
     point = touching[nearest]
     centres = _trajectory(point, centre, velocity, solid, times, rng)
-    contact = Contact(
-        limb, shape, name, solid, centres, skin[:CLIP_FRAMES], strike, point, times, splats[:CLIP_FRAMES], thing
-    )
+    chain = of_chain(name, int(dominant[nearest]))
+    skin, splats = skin[:CLIP_FRAMES], splats[:CLIP_FRAMES]
+    contact = Contact(limb, shape, name, solid, centres, skin, strike, point, times, splats, chain, thing)
     clean = contact.distances(np.zeros((CLIP_FRAMES, 3))).min() >= -CLEAN
     return contact if clean and centres[:, 2].min() >= solid.height - CLEAN else None
 

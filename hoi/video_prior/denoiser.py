@@ -21,7 +21,7 @@ class Architecture:
     """Of the square pictures [pixel]."""
     patch: int = 4
     """Pixels across that are one place of the latents."""
-    channels: tuple[int, int] = (96, 192)
+    channels: tuple[int, int] = (64, 128)
     """At the latents' own and at half their resolution."""
     embedding: int = 256
     text_dim: int = 384
@@ -96,6 +96,8 @@ class VideoDenoiser(nn.Module):
     network adds the rest (Karras et al. 2022, with one sigma a channel). With abar and s = abar sigma^2 + 1 - abar:
 
         v = sqrt(abar (1 - abar)) (1 - sigma^2) / s z_t + sigma / sqrt(s) network(z_t / sqrt(s), t, text)
+
+    The network's answer is a sum: what the clip seems to be, and, as far as the text asks for it, what mends it.
     """
 
     def __init__(self, architecture: Architecture) -> None:
@@ -121,7 +123,8 @@ class VideoDenoiser(nn.Module):
         self.coarse_out = Block(coarse, coarse, a.embedding)
         self.up = nn.Conv2d(coarse, 4 * fine, 1)
         self.fine_out = Block(2 * fine, fine, a.embedding)
-        last = nn.Conv2d(fine, pixels, 3, padding=1)
+        self.asked = nn.Linear(a.text_dim, 1)
+        last = nn.Conv2d(fine, 2 * pixels, 3, padding=1)
         self.leave = nn.Sequential(nn.GroupNorm(8, fine), nn.SiLU(), last)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)  # pyright: ignore[reportArgumentType]
@@ -148,4 +151,5 @@ class VideoDenoiser(nn.Module):
         x = self.coarse_in(self.down(functional.pixel_unshuffle(fine, 2)), condition, frames)
         x = self.coarse_out(self.attention(x, frames), condition, frames)
         x = torch.cat([functional.pixel_shuffle(self.up(x), 2), fine], 1)
-        return self.leave(self.fine_out(x, condition, frames)).unflatten(0, (-1, frames))
+        seen, mending = self.leave(self.fine_out(x, condition, frames)).unflatten(0, (-1, frames)).chunk(2, dim=2)
+        return seen + torch.sigmoid(self.asked(text))[:, :, None, None, None] * mending

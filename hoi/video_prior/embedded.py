@@ -1,7 +1,7 @@
 """The embedded video prior: small, in the package, framed on the contact, for a CPU.
 
-Its latents are the pixels themselves, normalised and turned: the discrete cosine transform of each patch. `encode` is
-exact and cheap, and white noise stays white.
+It sees silhouettes (`hoi.refine.silhouettes`). Its latents are the pixels themselves, normalised and turned: the
+discrete cosine transform of each patch. `encode` is exact and cheap, and white noise stays white.
 """
 
 import json
@@ -29,23 +29,22 @@ FORMAT = "hoi video prior 1"
 CLIP_FRAMES, SIZE, FPS = 5, EMBEDDED_PICTURE, 20.0
 CROP = 0.28
 """Half of what a picture shows around the point of contact [m]."""
-MEAN, SPREAD = 0.56, 0.28
+MEAN, SPREAD = 0.1, 0.27
 """Of the training clips' pixels, about [-]."""
 TEXT_MEAN, TEXT_STD, DENOISER_PREFIX = "text_normalizer.mean", "text_normalizer.std", "denoiser."
 
 
 @cache
 def basis(patch: int) -> Tensor:
-    """Orthonormal rows, (3 patch^2, 3 patch^2), float64: grey and two differences of colour, each in 2D cosines."""
+    """Orthonormal rows, (3 patch^2, 3 patch^2), float64: 2D cosines of each channel."""
     place = torch.arange(patch, dtype=torch.float64)
     cosines = torch.cos(torch.pi / patch * (place + 0.5) * place[:, None]) * (2 / patch) ** 0.5
     cosines[0] *= 0.5**0.5
-    colours = torch.tensor([[1.0, 1, 1], [1, 0, -1], [1, -2, 1]], dtype=torch.float64)
-    return torch.kron(functional.normalize(colours, dim=1), torch.kron(cosines, cosines))
+    return torch.kron(torch.eye(3, dtype=torch.float64), torch.kron(cosines, cosines))
 
 
 def to_latents(video: Tensor, patch: int) -> Tensor:
-    """RGB in [0, 1], (..., 3, height, width) -> z (..., 3 patch^2, height / patch, width / patch)."""
+    """Silhouettes in [0, 1], (..., 3, height, width) -> z (..., 3 patch^2, height / patch, width / patch)."""
     pixels = (functional.pixel_unshuffle(video, patch) - MEAN) / SPREAD
     return torch.einsum("zc,...chw->...zhw", basis(patch).to(video), pixels)
 
@@ -61,6 +60,7 @@ class EmbeddedPrior:
 
     size = (SIZE, SIZE)
     crop = CROP
+    sees_silhouettes = True
 
     def __init__(
         self, denoiser: VideoDenoiser, text_mean: Tensor, text_std: Tensor, encoder: TextEncoder, name: str

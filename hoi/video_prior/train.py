@@ -284,7 +284,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--drop-text", type=float, default=0.1, help="share of clips with an empty caption")
     parser.add_argument("--text-noise", type=float, default=0.15, help="noise on the normalised sentence embedding")
     parser.add_argument("--time-power", type=float, default=1.5, help="t = 1000 u^p of a uniform u")
-    parser.add_argument("--channels", type=int, nargs=2, default=[96, 192])
+    parser.add_argument("--channels", type=int, nargs=2, default=[64, 128])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--hardware", default="", help="in plain words, for training.json; default: the thread count")

@@ -1,0 +1,48 @@
+"""Hydra's basic sweeper, but that one failed run does not hide the others. Hydra looks for plugins in this package."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper, BasicSweeperConf
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import JobReturn
+
+
+class HoiSweeper(BasicSweeper):
+    """All combinations of what is listed, one run each; nothing is written but what the runs write."""
+
+    def sweep(self, arguments: list[str]) -> Any:
+        """The results of all runs.
+
+        Raises:
+            hoi.errors.RunError: some run failed, and it has been said which; or the launcher did.
+        """
+        from hoi.errors import RunError
+        from hoi.sweep import report
+
+        assert self.launcher is not None and self.hydra_context is not None
+        parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
+        overrides = parser.parse_overrides([*self._parse_config(), *arguments])
+        results: list[Sequence[JobReturn]] = []
+        count = 0
+        for batch in self.split_arguments(overrides, self.max_batch_size):
+            self.validate_batch_is_legal(batch)
+            try:
+                results.append(self.launcher.launch(batch, initial_job_idx=count))
+            except Exception as error:  # a worker of its own was killed, the cluster refused, ...
+                why = str(error).strip().partition("\n")[0]
+                raise RunError(
+                    f"the launcher stopped: {type(error).__name__}: {why}; the same command goes on from here"
+                ) from error
+            count += len(batch)
+        report([result for batch in results for result in batch])
+        return results
+
+
+ConfigStore.instance().store(
+    group="hydra/sweeper",
+    name="hoi",
+    node=BasicSweeperConf(_target_=f"{HoiSweeper.__module__}.{HoiSweeper.__name__}"),
+    provider="hoi",
+)
