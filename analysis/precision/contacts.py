@@ -63,18 +63,20 @@ class Start:
 
 
 def ways(quick: bool = False) -> list[Way]:
-    """All that are compared; each always does something, needed or not."""
+    """All that are compared. Those with a number of iterations do them all, needed or not; the others end when the
+    limb is out of the object."""
     always = "stage.refine.when=always"
 
     def of(kind: str, counts: Sequence[int], *overrides: str) -> list[Way]:
         return [Way(kind, n, (*overrides, always, f"stage.refine.iterations={n}")) for n in counts]
 
-    sds = "stage/refine=video_sds"
+    sds, both = ("stage/refine=video_sds",), ("stage/refine=video_sds", "stage.refine.lambda_geometry=1")
     return [
         Way("none", 0, ("stage/refine=none",)),
         *of("geometric", (4,) if quick else (4, 15, 60), "stage/refine=geometric"),
-        *of("embedded", (4,) if quick else (25, 50, 100, 200), sds),
-        *of("embedded + geometric", (4,) if quick else (25, 100), sds, "stage.refine.lambda_geometry=1"),
+        *([] if quick else [Way("embedded", 0, sds), Way("embedded + geometric", 0, both)]),
+        *of("embedded", (4,) if quick else (25, 100), *sds),
+        *of("embedded + geometric", (4,) if quick else (25, 100), *both),
     ]
 
 

@@ -4,6 +4,7 @@ What does not change is drawn once a viewpoint. No depth, and no gradient to wha
 the object are constants. A clip is of pictures, or of silhouettes for a prior that has learned those.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,6 +25,8 @@ from hoi.render.rasterise import rasterise, render_frames
 from hoi.render.replay import Replay, person_tensors, posed, replay
 from hoi.render.splats import Splats, join
 
+SIDEWAYS = math.radians(50)
+"""How far a view may be from looking across the strike, for a prior that is shown the contact alone."""
 CACHE = 2**29
 """Bytes of pictures that are kept; those of further viewpoints are drawn whenever they are wanted."""
 
@@ -149,6 +152,15 @@ def viewpoints(
     centre = (points.min(0) + points.max(0)) / 2
     around = Framing(centre, float(np.linalg.norm(points - centre, axis=1).max()))
     return ring(around, count, elevation, width=width, height=height, distance=distance)
+
+
+def across(views: Sequence[Camera], direction: np.ndarray) -> list[Camera]:
+    """Those of the views that look across a direction (3,), seen from above: no farther than `SIDEWAYS` from at right
+    angles. From before and behind, a limb that touches and one that has entered look alike."""
+    along = direction[:2] / max(float(np.linalg.norm(direction[:2])), 1e-9)
+    looks = [camera.world_to_camera[2, :2] for camera in views]
+    slants = [abs(float(look @ along)) / max(float(np.linalg.norm(look)), 1e-9) for look in looks]
+    return [camera for camera, slant in zip(views, slants, strict=True) if slant <= math.sin(SIDEWAYS)]
 
 
 def contact_framing(

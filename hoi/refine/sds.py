@@ -10,7 +10,7 @@ from hoi.config import Config, VideoSDSConf
 from hoi.data import Motion, ObjectTrajectory, Scene
 from hoi.errors import RefineStopped
 from hoi.progress import Stage
-from hoi.refine.clip import Clip, contact_framing, viewpoints
+from hoi.refine.clip import Clip, across, contact_framing, viewpoints
 from hoi.refine.geometric import Geometry
 from hoi.refine.meeting import meet
 from hoi.refine.window import Window, WindowedPose
@@ -107,8 +107,12 @@ def video_sds(
     config: Config,
     device: torch.device | str,
     stage: Stage,
+    enough: Callable[[Motion], bool] | None = None,
 ) -> Motion:
     """The motion with theta in the window refined by the video prior that the config names.
+
+    Args:
+        enough: whether a motion needs no more of it; None: all iterations are done.
 
     Raises:
         InputError: the prior cannot be loaded.
@@ -119,7 +123,7 @@ def video_sds(
     try:
         prior = load_video_prior(conf, device)
         prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
-        return refine_with(prior, scene, motion, trajectory, window, conf, config.seed, device, stage)
+        return refine_with(prior, scene, motion, trajectory, window, conf, config.seed, device, stage, enough)
     except (MemoryError, RuntimeError) as error:
         if not _out_of_memory(error):
             raise
@@ -137,6 +141,7 @@ def refine_with(
     seed: int,
     device: torch.device | str,
     stage: Stage,
+    enough: Callable[[Motion], bool] | None = None,
 ) -> Motion:
     """`video_sds` with a prior that is ready. Each iteration looks from one viewpoint, at one noise level.
 
@@ -149,6 +154,8 @@ def refine_with(
     clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
     contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
     views = viewpoints(clip, contact, conf.viewpoints, conf.elevation, conf.distance, prior.size)
+    if prior.sees_silhouettes and window.push is not None:
+        views = across(views, window.push.normal) or views
     draws = Draws(seed)
     rows = torch.tensor(window.frames, device=device)
     other_losses = _other_losses(pose, scene, trajectory, conf, device)
@@ -167,6 +174,9 @@ def refine_with(
         optimiser.step()
         losses = {name: float(term.detach()) for name, term in terms.items()}
         stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
+        if enough is not None and enough(pose.motion()):
+            stage.notes.append(f"enough after {iteration + 1} of {conf.iterations} iterations")
+            break
     return pose.motion()
 
 

@@ -44,7 +44,11 @@ def refine(scene: Scene, state: State, config: Config, device: str, stage: Stage
         if isinstance(conf, VideoSDSConf):
             from hoi.refine.sds import video_sds
 
-            refined = video_sds(scene, motion, trajectory, window, config, device, stage)
+            def enough(refined: Motion) -> bool:
+                return meeting.fidelity(refined, distance).penetration <= conf.tolerance
+
+            until = enough if conf.when is RefineWhen.needed else None
+            refined = video_sds(scene, motion, trajectory, window, config, device, stage, until)
         else:
             pose = WindowedPose(motion, window, device)
             minimise(pose, Geometry(meeting, conf, device), conf, stage)
