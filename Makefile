@@ -39,6 +39,9 @@ precision: $(READY)  ## error against run time of physics and renderer: tables, 
 table: $(READY)  ## the table of all runs, from their records
 	$(BIN)/python -m analysis.table runs $(ARGS)
 
+report: $(READY)  ## one HTML page of all runs: tables, filmstrips, videos, plans, timings
+	$(BIN)/python -m analysis.report runs $(ARGS)
+
 stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
 	$(BIN)/python -m analysis.stability $(ARGS)
 
@@ -54,4 +57,4 @@ smoke: $(READY)  ## a small sweep of every kind of run
 clean:  ## remove the environment and the runs
 	rm -rf .venv runs
 
-.PHONY: help setup run test lint bench precision table stability sweep variations smoke clean
+.PHONY: help setup run test lint bench precision table report stability sweep variations smoke clean

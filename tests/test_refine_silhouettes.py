@@ -1,7 +1,6 @@
 """Silhouettes: what covers a pixel, whatever is before it; their gradient; a clip of them."""
 
 import numpy as np
-import pytest
 import torch
 from refine_scenes import FRAMES, HIT, struck
 

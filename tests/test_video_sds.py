@@ -16,7 +16,7 @@ from hoi.errors import InputError, RefineStopped
 from hoi.motion.diffusion import guide
 from hoi.progress import Stages
 from hoi.refine import sds
-from hoi.refine.clip import Clip, contact_framing, moved_by, subset, viewpoints
+from hoi.refine.clip import Clip, across, contact_framing, moved_by, subset, viewpoints
 from hoi.refine.sds import Draws, distil, latest_timestep, predict_z, refine_with, weight
 from hoi.refine.views import Framing, ring, viewpoint
 from hoi.refine.window import Window, WindowedPose, window_around
@@ -309,6 +309,42 @@ def test_the_same_seed_gives_the_same_bits_and_the_config_does_not_shift_the_dra
     prior.asked = []
     refine(run, window, prior, guidance=5.0, viewpoints=2)
     assert prior.asked == asked
+
+
+def test_it_ends_when_it_is_enough(run: Run, window: Window) -> None:
+    prior, _ = target_of(run, window, turn=0.15)
+    whole, _ = refine(run, window, prior, iterations=3)
+    seen: list[Motion] = []
+
+    def enough(motion: Motion) -> bool:
+        seen.append(motion)
+        return len(seen) == 3
+
+    stages = Stages()
+    with stages.stage("refine", 1) as stage:
+        parts = (run.scene, run.state.motion, run.state.trajectory, window)
+        motion = refine_with(prior, *parts, conf(iterations=40), 0, "cpu", stage, enough)
+        assert stage.notes[-1] == "enough after 3 of 40 iterations"
+    assert stages.reports[0].iterations == 3
+    assert motion.body_pose.tobytes() == whole.body_pose.tobytes() == seen[-1].body_pose.tobytes()
+
+
+def test_a_prior_of_silhouettes_looks_across_the_strike(run: Run, window: Window, monkeypatch) -> None:
+    cameras = ring(Framing(np.zeros(3), 0.3), 36, width=8, height=8)
+    strike = np.array([1.0, 1.0, 0.4])
+    kept = across(cameras, strike)
+    for camera in cameras:
+        look = camera.world_to_camera[2, :2]
+        along = abs(look @ strike[:2]) / np.linalg.norm(look) / np.linalg.norm(strike[:2])
+        assert (camera in kept) == (along <= math.sin(math.radians(50)))
+    assert 18 < len(kept) < 24
+    prior, _ = target_of(run, window, turn=0.1)
+    looked: list = []
+    monkeypatch.setattr(sds.Draws, "viewpoint", lambda self, count: looked.append(count) or 0)
+    refine(run, window, prior, iterations=1, viewpoints=36)
+    prior.sees_silhouettes = True
+    refine(run, window, prior, iterations=1, viewpoints=36)
+    assert looked[0] == 36 and 18 < looked[1] < 24
 
 
 def test_what_is_not_finite_stops_the_stage(run: Run, window: Window) -> None:
