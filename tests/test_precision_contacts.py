@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from refine_scenes import struck
 
-from analysis.precision import contact_report, contacts
+from analysis.precision import closeups, contact_report, contacts
 from analysis.reach import config_of
 from hoi.data import Plan, Run
 
@@ -80,3 +80,18 @@ def test_a_start_that_has_no_contact_has_no_depth(monkeypatch: pytest.MonkeyPatc
     geometric = [way for way in contacts.ways() if way.kind in ("none", "geometric")][:2]
     monkeypatch.setattr(contacts, "ways", lambda quick: geometric)
     assert contacts.study(tmp_path, ["kick_soccer_ball"], 1, 1)["penetration"].isna().all()
+
+
+def test_closeups_show_before_and_after(tmp_path: Path) -> None:
+    scene, state = struck(depth=0.03)
+    run = Run("", {}, {}, Plan("", (), (), ()), (), (), scene, state)
+    start = contacts.Start("paper", "kick_soccer_ball", 0, run, ("scene=kick_soccer_ball",))
+    assert {way.name for way in contacts.ways()} >= set(closeups.WAYS)
+    geometric = [way for way in contacts.ways() if way.kind == "geometric"][:1]
+    closeups.draw([start], geometric, tmp_path / "closeups.png")
+    assert (tmp_path / "closeups.png").stat().st_size > 20_000
+    camera, motion = closeups.across(start), state.motion
+    picture = closeups.closeup(start, motion, camera)
+    assert picture.shape == (closeups.SIZE, closeups.SIZE, 3) and picture.std() > 0.05
+    apart = replace(motion, translation=motion.translation + np.array([0, -0.3, 0]))
+    assert np.abs(closeups.closeup(start, apart, camera) - picture).max() > 0.2

@@ -6,7 +6,7 @@ Of the object's physics: problems with known answers and benchmark scenes, each 
 `analysis.precision.problems`, `.scenes`, `.run` for the ways and `.convergence` for the orders. Writes precision.csv,
 precision.md and precision.png. Of the renderer: pictures, each made in many ways; see `analysis.precision.pictures`.
 Writes rendering.csv, rendering.md and rendering.png. Of stage 3: contacts, each refined in many ways; see
-`analysis.precision.contacts`. Writes contacts.csv, contacts.md and contacts.png.
+`analysis.precision.contacts`. Writes contacts.csv, contacts.md, contacts.png and closeups.png.
 """
 
 import argparse
@@ -118,6 +118,14 @@ def _contacts(arguments: argparse.Namespace) -> None:
     )
     table = contacts.study(arguments.out / "starts", scenes, seeds, arguments.threads, arguments.quick)
     paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
+    if not arguments.quick:
+        from analysis.precision import closeups
+
+        shown = contacts.starts(arguments.out / "starts", closeups.SCENES, seeds, arguments.threads)
+        first = [start for start in shown if start.setting == "paper" and start.seed == 0]
+        best = [way for way in contacts.ways() if way.name in closeups.WAYS]
+        closeups.draw(first, best, arguments.out / "closeups.png")
+        paths.append(arguments.out / "closeups.png")
     print(f"{len(table)} contacts refined in {time.perf_counter() - began:.0f} s")
     print(*paths, sep="\n")
 

@@ -75,8 +75,8 @@ def ways(quick: bool = False) -> list[Way]:
         Way("none", 0, ("stage/refine=none",)),
         *of("geometric", (4,) if quick else (4, 15, 60), "stage/refine=geometric"),
         *([] if quick else [Way("embedded", 0, sds), Way("embedded + geometric", 0, both)]),
-        *of("embedded", (4,) if quick else (25, 100), *sds),
-        *of("embedded + geometric", (4,) if quick else (25, 100), *both),
+        *of("embedded", (4,) if quick else (10, 40), *sds),
+        *of("embedded + geometric", (4,) if quick else (10,), *both),
     ]
 
 
