@@ -45,7 +45,7 @@ report: $(READY)  ## one HTML page of all runs: tables, filmstrips, videos, plan
 stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
 	$(BIN)/python -m analysis.stability $(ARGS)
 
-sweep: $(READY)  ## the benchmark on all cores: ten scenes, the method and its ablations
+sweep: $(READY)  ## the benchmark on all cores: nine scenes, the method and its ablations
 	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations hydra/launcher=joblib $(ARGS)
 
 variations: $(READY)  ## what the paper varies within a scene
