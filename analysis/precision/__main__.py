@@ -1,6 +1,6 @@
 """Error against run time: `python -m analysis.precision [--quick] [--problems NAMES] [-o FOLDER]`.
 
-NAMES are physics, renderer, contacts, or single problems; the default is all but contacts, which takes an hour.
+NAMES are physics, renderer, contacts, or single problems; the default is all.
 
 Of the object's physics: problems with known answers and benchmark scenes, each computed in many ways; see
 `analysis.precision.problems`, `.scenes`, `.run` for the ways and `.convergence` for the orders. Writes precision.csv,
@@ -63,7 +63,8 @@ def _study(arguments: argparse.Namespace) -> None:
         raise InputError(f"--threads must be from 1 to the {cores} cores of this machine, got {arguments.threads}")
     problems = {problem.__name__: problem for problem in (*EXACT, *SCENES)}
     views = {view.__name__: view for view in VIEWS}
-    groups = {"physics": ["waves", "punch"] if arguments.quick else list(problems), "renderer": list(views)}
+    physics = ["waves", "punch"] if arguments.quick else list(problems)
+    groups = {"physics": physics, "renderer": list(views), CONTACTS: [CONTACTS]}
     given = (arguments.problems or ",".join(groups)).split(",")
     names = dict.fromkeys(name for word in given for name in groups.get(word, [word]))
     known = [*problems, *views, CONTACTS]
