@@ -4,12 +4,15 @@ import numpy as np
 import torch
 from refine_scenes import FRAMES, HIT, struck
 
+from hoi.progress import Stages
 from hoi.refine.clip import Clip, chosen, moved_by
 from hoi.refine.silhouettes import coverage, silhouettes
+from hoi.refine.stage import contact_window, refine
 from hoi.refine.views import Framing, viewpoint
 from hoi.refine.window import window_around
 from hoi.render.rasterise import rasterise
 from hoi.render.splats import Splats
+from hoi.validate import to_config
 
 
 def ball(centre: tuple[float, float, float], radius: float, count: int = 3000) -> Splats:
@@ -74,3 +77,20 @@ def test_a_clip_shows_limb_rest_and_object() -> None:
     assert theta.grad is not None and float(theta.grad.abs().max()) == 0
     (video[:, 0] * torch.rand(5, 32, 32)).sum().backward()
     assert theta.grad is not None and all(float(frame.abs().max()) > 0 for frame in theta.grad)
+
+
+def test_the_prior_in_the_package_takes_a_foot_out_of_a_ball(composed) -> None:
+    """In its default settings, and ends as soon as that is so."""
+    scene, state = struck(depth=0.03)
+    config = to_config(composed("scene=kick_soccer_ball"))
+    stages = Stages()
+    with stages.stage("refine", 1) as stage:
+        refined = refine(scene, state, config, "cpu", stage)
+    numbers, conf = stages.reports[0].numbers, config.stage.refine
+    assert numbers["penetration_before"] > 0.025
+    assert numbers["penetration_after"] <= conf.tolerance
+    assert numbers["gap_after"] < 0.01
+    assert 3 < stages.reports[0].iterations < conf.iterations
+    window = contact_window(state, conf.half_width, FRAMES)
+    outside = [frame for frame in range(FRAMES) if frame not in window.frames]
+    assert refined.body_pose[outside].tobytes() == state.motion.body_pose[outside].tobytes()
