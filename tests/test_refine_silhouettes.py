@@ -1,9 +1,13 @@
 """Silhouettes: what covers a pixel, whatever is before it; their gradient; a clip of them."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import torch
 from refine_scenes import FRAMES, HIT, struck
 
+from hoi.data import Motion
 from hoi.progress import Stages
 from hoi.refine.clip import Clip, chosen, moved_by
 from hoi.refine.silhouettes import coverage, silhouettes
@@ -94,3 +98,27 @@ def test_the_prior_in_the_package_takes_a_foot_out_of_a_ball(composed) -> None:
     window = contact_window(state, conf.half_width, FRAMES)
     outside = [frame for frame in range(FRAMES) if frame not in window.frames]
     assert refined.body_pose[outside].tobytes() == state.motion.body_pose[outside].tobytes()
+
+
+def test_the_least_deep_motion_is_kept_where_none_is_out(composed, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, state = struck(depth=0.03)
+
+    def shifted(by: float) -> Motion:
+        return replace(state.motion, translation=state.motion.translation + np.array([0, by, 0]))
+
+    tried = [shifted(0.01), shifted(-0.012), shifted(-0.005)]
+
+    def pushing(*given) -> Motion:
+        assert not any(given[-1](motion) for motion in tried)
+        return tried[-1]
+
+    monkeypatch.setattr("hoi.refine.sds.video_sds", pushing)
+    stages, config = Stages(), to_config(composed("scene=kick_soccer_ball"))
+    with stages.stage("refine", 1) as stage:
+        assert refine(scene, state, config, "cpu", stage) is tried[1]
+        assert "the best is kept" in stage.notes[-1]
+        tried[1] = shifted(0.02)
+        tried[2] = shifted(0.01)
+        assert refine(scene, state, config, "cpu", stage) is state.motion
+    numbers = stages.reports[0].numbers
+    assert numbers["penetration_after"] == numbers["penetration_before"] > 0.02

@@ -27,6 +27,7 @@ PANELS = {"penetration": "deepest penetration [mm]", "touching": "touching at t_
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
     """Mean and standard deviation over starts of each way, with n, those that got shallower, and those that stopped."""
+    table = pd.DataFrame(table[table["deepest before"].notna()])  # those with a contact, and the limb near it
     table = table.assign(shallower=table["penetration"] < table["deepest before"])
     groups = table.groupby(["setting", "way", "kind"], sort=False)
     names = ["penetration", "touching", "gap", "strange"]

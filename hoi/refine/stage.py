@@ -44,11 +44,21 @@ def refine(scene: Scene, state: State, config: Config, device: str, stage: Stage
         if isinstance(conf, VideoSDSConf):
             from hoi.refine.sds import video_sds
 
-            def enough(refined: Motion) -> bool:
-                return meeting.fidelity(refined, distance).penetration <= conf.tolerance
+            best = before.penetration, motion
 
-            until = enough if conf.when is RefineWhen.needed else None
-            refined = video_sds(scene, motion, trajectory, window, config, device, stage, until)
+            def enough(tried: Motion) -> bool:
+                nonlocal best
+                depth = meeting.fidelity(tried, distance).penetration
+                best = min(best, (depth, tried), key=lambda found: found[0])
+                return depth <= conf.tolerance
+
+            if conf.when is RefineWhen.needed:
+                video_sds(scene, motion, trajectory, window, config, device, stage, enough)
+                deepest, refined = best
+                if deepest > conf.tolerance:
+                    stage.notes.append(f"not out after all iterations: the best is kept, {deepest:.4f} m deep")
+            else:
+                refined = video_sds(scene, motion, trajectory, window, config, device, stage)
         else:
             pose = WindowedPose(motion, window, device)
             minimise(pose, Geometry(meeting, conf, device), conf, stage)
