@@ -244,7 +244,13 @@ def test_without_contact_the_ball_ignores_the_hit(runs):
     run, *_ = runs("no_contact")
     full, *_ = runs("full")
     assert run.state.contact is None
-    np.testing.assert_array_equal(run.state.motion.body_pose, full.state.motion.body_pose)  # paired ablations
+    # Paired ablations: but for stage 3, in its window, the persons move alike.
+    centres = (push(full).frame, full.state.target.frame)
+    alike = [frame for frame in range(len(run.state.motion)) if min(abs(frame - at) for at in centres) > 2]
+    assert len(alike) > 25
+    for name in ("translation", "orientation", "body_pose"):
+        ours, theirs = (getattr(each.state.motion, name)[alike] for each in (run, full))
+        np.testing.assert_array_equal(ours, theirs)
     com = run.state.trajectory.com
     np.testing.assert_allclose(com, np.tile(com[0], (len(com), 1)), atol=1e-6)
 
@@ -315,7 +321,8 @@ def test_interrupt_leaves_nothing_that_looks_complete(tmp_path):
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
-    assert not list((tmp_path / "here").iterdir())
+    # Where a library swallows the interrupt, the process is ended with its lock, which nobody holds any more.
+    assert {file.name for file in (tmp_path / "here").iterdir()} <= {".lock"}
 
 
 @pytest.mark.parametrize("then", ["time.sleep(60)", "raise ImportError('initialization failed')", "sys.exit(1)"])

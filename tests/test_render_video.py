@@ -327,7 +327,10 @@ def test_no_cuda_no_video(path, tmp_path, capsys):
 
 def test_an_interrupt_leaves_nothing(path, tmp_path):
     command = [sys.executable, "-m", "hoi.render.video", str(path), "--view", "turntable", "--freeze", "3"]
-    process = subprocess.Popen([*command, "-o", str(tmp_path / "a.mp4")], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*command, "-o", str(tmp_path / "a.mp4")], stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job inherits it as ignored
+    )  # fmt: skip
     assert process.stderr is not None
     while "video" not in process.stderr.read(16):  # the bar of the first picture
         pass

@@ -8,6 +8,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from analysis.precision.errors import pareto_front
 from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
@@ -108,6 +109,8 @@ def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
         best = pd.DataFrame(rows[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())]).sort_values("x")
         ax.step(best["x"], best["y"], where="post", color=INK, lw=0.8, zorder=0)
     ax.set(xscale="log", xlabel="seconds of stage 3", ylabel=label)
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(bottom=0)
     ax.grid(True, color=GRID)
     ax.tick_params(colors=MUTED, labelsize=8)
