@@ -100,11 +100,17 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 
 def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
     unit = 1e3 if name == "penetration" else 1e2
-    rows = rows.assign(x=rows["seconds"].clip(lower=LEAST_SECONDS), y=unit * rows[name])
     error = unit * rows[f"{name} sd"] / rows["n"] ** 0.5
+    rows = rows.assign(x=rows["seconds"].clip(lower=LEAST_SECONDS), y=unit * rows[name], error=error)
     for kind, (colour, marker) in KINDS.items():
-        of = rows["kind"] == kind
-        ax.errorbar(rows["x"][of], rows["y"][of], error[of], color=colour, marker=marker, ls=":", label=kind, capsize=2)
+        of = pd.DataFrame(rows[rows["kind"] == kind])
+        counted, ended = (pd.DataFrame(of[mask]) for mask in (of["way"] != kind, of["way"] == kind))
+        until = f"{kind}, until out" if len(counted) else kind
+        for some, line, called in ((counted, ":", kind), (ended, "", until)):
+            if len(some):
+                face = "white" if called != kind else colour
+                ax.errorbar(some["x"], some["y"], some["error"], color=colour, marker=marker, mfc=face, ms=7, ls=line,
+                            label=called, capsize=2)  # fmt: skip
     if name == "penetration":
         best = pd.DataFrame(rows[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())]).sort_values("x")
         ax.step(best["x"], best["y"], where="post", color=INK, lw=0.8, zorder=0)
