@@ -33,7 +33,7 @@ bench: $(READY)  ## seconds by stage of the default scene, milliseconds a step o
 	$(BIN)/python -m analysis.mpm_bench
 	$(BIN)/python -m analysis.render_bench
 
-precision: $(READY)  ## error against run time of physics and renderer: tables, reports, pictures in runs/precision
+precision: $(READY)  ## error against run time of physics, renderer and stage 3: tables, reports, pictures in runs/precision
 	$(BIN)/python -m analysis.precision $(ARGS)
 
 table: $(READY)  ## the table of all runs, from their records

@@ -90,14 +90,15 @@ class Record:
 
 
 def find(folder: Path) -> list[Path]:
-    """The records below a folder, in order: those of finished and of failed runs.
+    """The records below a folder, in order: those of finished and of failed runs; hidden folders are left out.
 
     Raises:
         InputError: there is no such folder.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    return sorted([*folder.rglob(DONE), *folder.rglob(FAILED)])
+    found = [*folder.rglob(DONE), *folder.rglob(FAILED)]
+    return sorted(path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts))
 
 
 def load(path: Path) -> Record:

@@ -43,7 +43,7 @@ def cogvideox_folder(checkpoint: str) -> Path:
     """
     folder = Path(checkpoint).expanduser()
     if not folder.is_dir():
-        found = _in_hub_cache(checkpoint)
+        found = in_hub_cache(checkpoint)
         if found is None:
             raise InputError(
                 f"stage.refine.checkpoint: no CogVideoX-5B at {checkpoint}: neither a folder here nor in the "
@@ -59,7 +59,7 @@ def cogvideox_folder(checkpoint: str) -> Path:
     return folder
 
 
-def _in_hub_cache(name: str) -> Path | None:
+def in_hub_cache(name: str) -> Path | None:
     """Where the hub's model of this name has been downloaded to; None when it has not."""
     from huggingface_hub import snapshot_download
     from huggingface_hub.errors import HFValidationError, LocalEntryNotFoundError

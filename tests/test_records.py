@@ -36,6 +36,8 @@ def test_find_is_sorted_and_takes_failed_runs(tmp_path):
     for name in ("b/run.mcap", "a/run.failed.mcap", "a/run.mcap", "c/run.mcap.part", "c/other.mcap"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
+    (tmp_path / ".starts").mkdir()
+    (tmp_path / ".starts" / "run.mcap").touch()  # hidden: left out
     names = [file.relative_to(tmp_path).as_posix() for file in find(tmp_path)]
     assert names == ["a/run.failed.mcap", "a/run.mcap", "b/run.mcap"]
     with pytest.raises(InputError, match="no such folder"):

@@ -12,6 +12,7 @@ from analysis.learned.files import check_memory, files_sha256
 from analysis.learned.frames import Clip
 from analysis.learned.qwen_video import Cells, Sampling, VideoPatches, cut
 from hoi.errors import InputError, RunError
+from hoi.weights import in_hub_cache
 
 QUESTION = "Is the interaction physically plausible overall?"
 """The paper's."""
@@ -82,7 +83,7 @@ def find_vqa(given: str, question: str = QUESTION, sampling: Sampling | None = N
     """
     folder = Path(given).expanduser()
     if not folder.is_dir():
-        cached = _in_hub_cache(given)
+        cached = in_hub_cache(given)
         if cached is None:
             raise InputError(
                 f"--vqa: no Qwen2-VL or Qwen2.5-VL at {given}: neither a folder here nor in the Hugging Face cache; "
@@ -163,14 +164,3 @@ class VqaScorer:
         if self.model.config.model_type == "qwen2_5_vl":  # the older one does not know the time
             inputs["second_per_grid_ts"] = torch.tensor([patches.seconds], device=device)
         return self.model(**inputs, use_cache=False, logits_to_keep=1).logits[0, -1].float()
-
-
-def _in_hub_cache(name: str) -> Path | None:
-    """Where the hub's model of this name has been downloaded to; None when it has not."""
-    from huggingface_hub import snapshot_download
-    from huggingface_hub.errors import HFValidationError, LocalEntryNotFoundError
-
-    try:
-        return Path(snapshot_download(name, local_files_only=True))
-    except (HFValidationError, LocalEntryNotFoundError):
-        return None

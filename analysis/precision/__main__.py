@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
+STARTS = ".starts"
+"""Hidden: the runs that contacts are refined from are none of the table's."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -117,12 +119,12 @@ def _contacts(arguments: argparse.Namespace) -> None:
     scenes, seeds = (
         (contacts.QUICK_SCENES, contacts.QUICK_SEEDS) if arguments.quick else (contacts.SCENES, contacts.SEEDS)
     )
-    table = contacts.study(arguments.out / "starts", scenes, seeds, arguments.threads, arguments.quick)
+    table = contacts.study(arguments.out / STARTS, scenes, seeds, arguments.threads, arguments.quick)
     paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
     if not arguments.quick:
         from analysis.precision import closeups
 
-        shown = contacts.starts(arguments.out / "starts", closeups.SCENES, seeds, arguments.threads)
+        shown = contacts.starts(arguments.out / STARTS, closeups.SCENES, seeds, arguments.threads)
         first = [start for start in shown if start.setting == "paper" and start.seed == 0]
         best = [way for way in contacts.ways() if way.name in closeups.WAYS]
         closeups.draw(first, best, arguments.out / "closeups.png")

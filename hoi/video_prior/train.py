@@ -22,6 +22,7 @@ from torch import Tensor
 from hoi.errors import InputError
 from hoi.motion.text import minilm
 from hoi.motion.train import write_atomically
+from hoi.refine.sds import predict_z
 from hoi.video_prior.captions import FLAWED_SHARE, SENTENCES, captions
 from hoi.video_prior.clips import Clips, provide_clips
 from hoi.video_prior.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
@@ -212,7 +213,7 @@ class Training:
             alpha_bar = self.alphas_cumprod.to(clean)[t][:, None, None, None, None]
             z_t, way = alpha_bar.sqrt() * flawed + (1 - alpha_bar).sqrt() * noise, clean - flawed
             for said, text in (("clean", good), ("flawed", bad)):
-                z_hat = alpha_bar.sqrt() * z_t - (1 - alpha_bar).sqrt() * self.average(z_t, t, text)
+                z_hat = predict_z(z_t, self.average(z_t, t, text), alpha_bar)
                 mended[said].append(((z_hat - flawed) * way).sum((1, 2, 3, 4)) / way.square().sum((1, 2, 3, 4)))
         means = {f"mended_{said}": round(float(torch.cat(shares).median()), 4) for said, shares in mended.items()}
         return {"held_out": round(float(torch.cat(losses).mean()), 5), **means}
