@@ -151,7 +151,8 @@ def _count(numbers: dict[str, float], tally: "Tally") -> None:
     greatest = {"vibration_left_out": tally.vibration, "cfl": tally.cfl, "dt_most": tally.dt_most}
     numbers.update({name: numbers.get(name, 0.0) + value for name, value in adds.items()})
     numbers.update({name: max(numbers.get(name, 0.0), value) for name, value in greatest.items()})
-    numbers["dt_least"] = min(numbers.get("dt_least", math.inf), tally.dt_least)
+    if tally.steps:
+        numbers["dt_least"] = min(numbers.get("dt_least", math.inf), tally.dt_least)
 
 
 def constant_velocity(

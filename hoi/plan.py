@@ -322,7 +322,7 @@ def _phases_check(mpm: MPMConf, materials: tuple[Material, ...]) -> Check:
     loose = sorted({material.model for material in materials} & NEVER_RIGID)
     bound = f"up to {mpm.vibration_tolerance:g} of the size of vibration and creep left out"
     if loose:
-        return Check("phases", "mpm, rest", f"{bound}; {', '.join(loose)} never flies as one piece")
+        return Check("phases", "mpm, rest", f"{bound}; {', '.join(loose)} flies as one piece only until it is touched")
     return Check("phases", "mpm, flight, rest", f"exact rigid flight where no contact is possible; {bound}")
 
 

@@ -264,13 +264,13 @@ class Simulation:
             until = min([until, *(t for t in self.collider.times if self.time + INSTANT < t < until - INSTANT)])
         low, high, speed, wave_speed = self._look()
         left = until - self.time
-        limit = self._limit(speed, wave_speed)
-        dt = self.fraction * limit if self.dt is None else self.dt
+        dt = self.time_step()
         steps = max(math.ceil(left / dt * (1 - 1e-9)), 1)
         dt = left / steps
         cfl = (wave_speed + speed) * dt / self.dx
         self.cfl = max(self.cfl, cfl)
         if cfl > UNSTABLE_CFL:
+            limit = self._limit(speed, wave_speed)
             raise RunError(
                 self._message(
                     f"dt {dt:.3g} s is above the limit, which has fallen to {limit:.3g} s as the object moves "
@@ -290,6 +290,11 @@ class Simulation:
         began, self.time = self.time, until if done == steps else until - (steps - done) * dt
         if (self.collider_impulse != given).any():
             self.push_start, self.push_end = min(self.push_start, began), self.time
+
+    def time_step(self) -> float:
+        """The longest step that it would take now [s]: `dt`, or `fraction` of the limit."""
+        _, _, speed, wave_speed = self._look()
+        return self.fraction * self._limit(speed, wave_speed) if self.dt is None else self.dt
 
     def _limit(self, speed: float, wave_speed: float) -> float:
         """The largest stable step [s], should gravity alone add to the speed until the next look."""
