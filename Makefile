@@ -1,6 +1,7 @@
 # Two targets are all a newcomer needs: `make run` and `make test`. Each sets up .venv once.
 PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
+EXTRAS ?= dev,video,cluster,view,docs
 BIN := .venv/bin
 READY := .venv/.ready
 
@@ -13,7 +14,7 @@ $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 to 3.13 (what taichi has wheels for); found none of them" \
 		"(python3 is $$(python3 --version 2>&1)). Install one, or name it: make setup PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,video,cluster]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
 	@touch $(READY)
 
 run: $(READY)  ## the default scene: record it, film it, draw a filmstrip, print the paths
@@ -45,7 +46,7 @@ report: $(READY)  ## one HTML page of all runs: tables, filmstrips, videos, plan
 stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
 	$(BIN)/python -m analysis.stability $(ARGS)
 
-sweep: $(READY)  ## the benchmark on all cores: nine scenes, the method and its ablations
+sweep: $(READY)  ## the benchmark on all cores: ten scenes, the method and its ablations
 	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations hydra/launcher=joblib $(ARGS)
 
 variations: $(READY)  ## what the paper varies within a scene
@@ -54,7 +55,11 @@ variations: $(READY)  ## what the paper varies within a scene
 smoke: $(READY)  ## a small sweep of every kind of run
 	$(BIN)/python -m hoi.run --config-dir sweeps --config-name smoke hydra/launcher=joblib $(ARGS)
 
-clean:  ## remove the environment and the runs
-	rm -rf .venv runs
+docs: $(READY)  ## the documentation as a site, into site/: open site/index.html
+	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-.PHONY: help setup run test lint bench precision table report stability sweep variations smoke clean
+clean:  ## remove the environment, the runs and the site
+	rm -rf .venv runs site
+
+.PHONY: help setup run test lint bench precision table report stability sweep variations smoke docs clean

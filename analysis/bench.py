@@ -3,17 +3,20 @@
 Each run is a process of its own; the first warms the caches (compiled kernels, prompt features) and is not counted.
 """
 
+from __future__ import annotations
+
 import argparse
 import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from hoi.errors import InputError
-from hoi.record import read
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
@@ -23,6 +26,10 @@ def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
     Raises:
         InputError: a run did not end well.
     """
+    import pandas as pd
+
+    from hoi.record import read
+
     rows: list[dict[str, float | str]] = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(runs + 1):
@@ -48,7 +55,11 @@ def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m analysis.bench", description="Seconds by stage of a scene.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.bench",
+        description="Seconds by stage of a scene, from recorded runs.",
+        epilog="example: python -m analysis.bench --runs 3 -- scene=kick_soccer_ball",
+    )
     parser.add_argument("--runs", type=int, default=3, help="counted runs (default 3)")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()

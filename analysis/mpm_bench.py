@@ -104,9 +104,11 @@ def genesis_row(particles: int, peer: str) -> dict[str, float | str]:
 
 
 def main() -> None:
-    import pandas as pd  # not at the top: the peer's interpreter may not have it
-
-    parser = argparse.ArgumentParser(prog="python -m analysis.mpm_bench", description="Milliseconds a step of the MPM.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.mpm_bench",
+        description="Milliseconds a step of the MPM, by particles, threads and material model.",
+        epilog="example: python -m analysis.mpm_bench --particles 5000 20000 --threads 1 2",
+    )
     parser.add_argument("--particles", type=int, nargs="+", default=[5000, 20000, 100000])
     parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, os.cpu_count() or 1}))
     parser.add_argument("--models", nargs="+", default=["neo_hookean", "fixed_corotated"])
@@ -115,6 +117,8 @@ def main() -> None:
     parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("genesis") else None,
                         metavar="PYTHON", help="one with Genesis (default: this one, if it has it)")  # fmt: skip
     arguments = parser.parse_args()
+    import pandas as pd  # not at the top: the peer's interpreter may not have it
+
     rows = []
     try:
         if min(*arguments.particles, *arguments.threads, 10**9) < 1:

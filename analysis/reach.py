@@ -4,30 +4,25 @@ Stage 1 runs once a seed, its motion is the same wherever the object is; stage 2
 seeds in turn. The gap is that of `hoi.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
 """
 
+from __future__ import annotations
+
 import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-import torch
-from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 
-from hoi import movers
-from hoi.body.skinning import joint_paths
 from hoi.config import CONF, Approach, Config, HMSDConf, register
-from hoi.coordination import REACHED, coordinate, meet
 from hoi.data import Motion, Scene
 from hoi.errors import InputError, RunError
-from hoi.motion.synthesis import load_distillation, synthesise
-from hoi.progress import Stage
-from hoi.run import one_line
-from hoi.scene import build_scene, load_object
-from hoi.validate import to_config
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from hoi.progress import Stage
 
 DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
 """Of the object, as seen from the origin: the first ahead, the others evenly around [m]; None is on the ground."""
@@ -50,6 +45,13 @@ def config_of(overrides: Sequence[str]) -> Config:
     Raises:
         InputError: a bad one.
     """
+    from hydra import compose, initialize_config_dir
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from hoi.run import one_line
+    from hoi.validate import to_config
+
     register()
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
@@ -65,6 +67,14 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
         InputError: a bad override, or a config without motion prior or attraction.
         RunError: a stage failed.
     """
+    import pandas as pd
+    import torch
+
+    from hoi import movers
+    from hoi.coordination import coordinate, meet
+    from hoi.motion.synthesis import load_distillation, synthesise
+    from hoi.scene import build_scene, load_object
+
     config = config_of(overrides)
     if not isinstance(config.stage.motion, HMSDConf):
         raise InputError("analysis.reach needs a motion prior: stage/motion=hmsd")
@@ -105,33 +115,47 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
 
 def quiet(name: str) -> Stage:
     """A stage without a bar."""
+    from hoi.progress import Stage
+
     return Stage(name, lambda units: None, [])
 
 
 def mean_jerk(scene: Scene, motion: Motion) -> float:
     """Mean size of the joints' third derivative [m/s^3]."""
+    from hoi.body.skinning import joint_paths
+
     jerk = np.diff(joint_paths(scene.body, motion), n=3, axis=0) * motion.fps**3
     return float(np.linalg.norm(jerk, axis=-1).mean())
 
 
 def pose_distance(scene: Scene, before: Motion, after: Motion) -> float:
     """Mean distance of the joints, each motion seen from its pelvis [m]."""
+    from hoi.body.skinning import joint_paths
+
     seen = [paths - paths[:, :1] for paths in (joint_paths(scene.body, motion) for motion in (before, after))]
     return float(np.linalg.norm(seen[0] - seen[1], axis=-1).mean())
 
 
 def off_ground(scene: Scene, motion: Motion) -> float:
     """Largest height of the lowest joint over the frames [m]."""
+    from hoi.body.skinning import joint_paths
+
     return float(joint_paths(scene.body, motion)[..., 2].min(axis=1).max())
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m analysis.reach", description="Gaps to objects all around.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.reach",
+        description="How near the striking limb comes to objects all around, before and after stage 2.",
+        epilog="example: python -m analysis.reach -o reach.csv scene=kick_soccer_ball",
+    )
     parser.add_argument("-o", "--out", type=Path, help="the table as .csv")
     parser.add_argument("--directions", type=int, default=DIRECTIONS, help=f"default {DIRECTIONS}")
     parser.add_argument("--seeds", type=int, default=10, help="default 10")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()
+    from hoi.coordination import REACHED
+
     try:
         places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
         table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))

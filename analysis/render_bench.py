@@ -273,9 +273,11 @@ def with_ratios(rows: list[Row]) -> list[Row]:
 
 
 def main() -> None:
-    import pandas as pd  # not at the top: the peer's interpreter may not have it
-
-    parser = argparse.ArgumentParser(prog="python -m analysis.render_bench", description="Milliseconds a picture.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.render_bench",
+        description="Milliseconds a picture, of the default scene's person and of larger clouds.",
+        epilog="example: python -m analysis.render_bench --threads 1 2",
+    )
     parser.add_argument("--person", type=int, default=26_000, help="Gaussians of the default scene's person")
     parser.add_argument("--gaussians", type=int, default=100_000, help="of the synthetic cloud (default 100000)")
     parser.add_argument("--cloud", type=Path, metavar="FILE", help="a 3DGS file, measured too")
@@ -286,6 +288,8 @@ def main() -> None:
     parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("gsplat") else None,
                         metavar="PYTHON", help="one with gsplat (default: this one, if it has it)")  # fmt: skip
     arguments = parser.parse_args()
+    import pandas as pd  # not at the top: the peer's interpreter may not have it
+
     try:
         if min(arguments.gaussians, arguments.turns, *arguments.threads) < 1 or arguments.memory < 0:
             raise InputError("--gaussians, --turns and --threads must be 1 or more, --memory 0 or more")

@@ -13,29 +13,26 @@ the joints after stage 2. Exit codes: 0 done; 2 bad input; 3 a stage failed.
     gap       of the striking joint's skin to the object at t*
 """
 
+from __future__ import annotations
+
 import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-import torch
 
-from analysis.motion import measures
-from analysis.precision.report import facts, markdown_list, markdown_table
-from analysis.reach import config_of, quiet
-from hoi import movers
-from hoi.body.skinning import joint_paths
 from hoi.config import Approach, HMSDConf
-from hoi.coordination import coordinate, meet
 from hoi.data import Motion
 from hoi.errors import InputError, RunError
-from hoi.motion.distillation import PoseParameters, ScoreDistillation
-from hoi.motion.evaluator import Evaluator, load_evaluator
-from hoi.motion.synthesis import load_distillation, synthesise
-from hoi.scene import build_scene
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from hoi.motion.distillation import ScoreDistillation
+    from hoi.motion.evaluator import Evaluator
 
 
 @dataclass(frozen=True)
@@ -68,6 +65,11 @@ def judged(
     strike: Strike, motions: Sequence[Motion], distillation: ScoreDistillation, evaluator: Evaluator
 ) -> dict[str, float]:
     """Medians over the seeds, and the share of strikes with the named limb; on the prior's own skeleton."""
+    import torch
+
+    from analysis.motion import measures
+    from hoi.motion.distillation import PoseParameters
+
     pose = PoseParameters.of(motions)
     with torch.no_grad():
         features = distillation.prior.denormalise(distillation.features(pose))
@@ -94,6 +96,17 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
         InputError: a bad override, or one that leaves the motion prior out.
         RunError: a stage failed.
     """
+    import pandas as pd
+    import torch
+
+    from analysis.reach import config_of, quiet
+    from hoi import movers
+    from hoi.body.skinning import joint_paths
+    from hoi.coordination import coordinate, meet
+    from hoi.motion.evaluator import load_evaluator
+    from hoi.motion.synthesis import load_distillation, synthesise
+    from hoi.scene import build_scene
+
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:
         for number, strike in enumerate(STRIKES):
@@ -122,12 +135,20 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m analysis.strikes", description="What stage 2 does to motions.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.strikes",
+        description="What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
+        epilog="example: python -m analysis.strikes -o runs/strikes --seeds 10",
+    )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/strikes"), help="folder for the tables")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--start", choices=("sample", "stand"), action="append", help="default: both")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     options = parser.parse_args()
+    import torch
+
+    from analysis.precision.report import facts, markdown_list, markdown_table
+
     try:
         table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
         options.out.mkdir(parents=True, exist_ok=True)

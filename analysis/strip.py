@@ -5,28 +5,27 @@
 From the record alone; the pictures are `hoi.render`'s.
 """
 
+from __future__ import annotations
+
 import argparse
 import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import patheffects
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from hoi import record
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Run
 from hoi.errors import InputError
 from hoi.render.cameras import TOP_UP, VIEWS, Camera, fitting_width, frame_action, project
-from hoi.render.film import choose_frames, film
-from hoi.render.replay import Replay, replay
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from hoi.render.replay import Replay
 
 INK, MUTED, PERSON, OBJECT, CONTACT = "#22262b", "#7a828c", "#2b6cb0", "#c2571a", "#d61f3c"
 PANEL_HEIGHT = 420
@@ -73,6 +72,9 @@ def load(path: Path) -> Film:
     Raises:
         InputError: as `hoi.record.read`, or the run has neither a motion nor a trajectory.
     """
+    from hoi import record
+    from hoi.render.replay import replay
+
     run = record.read(path)
     motion, trajectory = run.state.motion, run.state.trajectory
     if run.scene is None or (motion is None and trajectory is None):
@@ -92,6 +94,10 @@ def make_strip(shown: Film, path: Path, count: int = 8, view: str = "three_quart
     Raises:
         InputError: a bad name, frame count or view, or the file cannot be written.
     """
+    import matplotlib.pyplot as plt
+
+    from hoi.render.film import choose_frames, film
+
     if path.suffix.lower() != ".png":
         raise InputError(f"-o {path}: the filmstrip is a .png file")
     if not 1 <= count <= 24:
@@ -130,6 +136,8 @@ def _camera(shown: Film, view: str) -> Camera:
 
 
 def _layout(count: int, camera: Camera) -> tuple[Figure, list[Axes], Axes]:
+    import matplotlib.pyplot as plt
+
     row = count * camera.width + (count - 1) * GAP
     scale = max(1.0, 1100 / row)  # room for the words where there are few pictures
     below = FOOT + CHART + 26
@@ -143,6 +151,8 @@ def _layout(count: int, camera: Camera) -> tuple[Figure, list[Axes], Axes]:
 
 def _mark(axes: Axes, shown: Film, camera: Camera, frame: int, contact: Contact | None) -> None:
     """What is known about a picture, on it: the object's path, the time, the contact."""
+    from matplotlib import patheffects
+
     axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), xticks=[], yticks=[])
     glow = [patheffects.withStroke(linewidth=2.5, foreground="white", alpha=0.85)]
     if len(shown.thing):
@@ -240,7 +250,11 @@ def _outcome(shown: Film) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `python -m analysis.strip`; the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m analysis.strip", description="A filmstrip of a record.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.strip",
+        description="A filmstrip of a record: person, object and contact in a row of pictures, and their speeds.",
+        epilog="example: python -m analysis.strip runs/kick_soccer_ball/laptop/full/s0/run.mcap -o strip.png",
+    )
     parser.add_argument("record", type=Path, metavar="RUN.mcap")
     parser.add_argument("-o", "--out", type=Path, help="PNG to write (default: strip.png beside the record)")
     parser.add_argument("--frames", type=int, default=8, help="how many pictures (default: 8)")

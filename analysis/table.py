@@ -12,6 +12,8 @@ The same records give the same bytes. Neither torch nor taichi is imported. Exit
 file could not be read (the tables are written all the same), or there is no record.
 """
 
+from __future__ import annotations
+
 import argparse
 import os
 import sys
@@ -20,15 +22,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from analysis.learned.sidecar import SCORES, read_scores, sidecar_path
-from analysis.metrics import METRICS
-from analysis.records import find, load
-from analysis.writers import write_tables
 from hoi.errors import InputError
-from hoi.record import read_metadata
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 KEYS = ["scene", "experiment", "variant"]
 FACTS = [*KEYS, "seed", "status", "reason", "path", "config_hash"]
@@ -53,6 +53,11 @@ def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
     Raises:
         InputError: no such folder, or no record in it.
     """
+    import pandas as pd
+
+    from analysis.metrics import METRICS
+    from analysis.records import find
+
     files = find(folder)
     if not files:
         raise InputError(f"{folder}: no run.mcap below it")
@@ -78,6 +83,10 @@ def summarise(runs: pd.DataFrame, by: Sequence[str] = ()) -> pd.DataFrame:
         experiment and variant (and `by`), n runs that are done, failed, unreadable, reasons, and of each number
         KEY, KEY_sd (sample standard deviation over the runs, NaN for one) and KEY_n.
     """
+    import pandas as pd
+
+    from analysis.metrics import METRICS
+
     keys, numbers = [*by, "experiment", "variant"], [*METRICS, *SCORES]
     rows = []
     for _, group in runs.groupby(keys, sort=False, dropna=False):
@@ -105,6 +114,10 @@ def variant_place(experiment: str, variant: str) -> tuple[bool, bool, str, int, 
 
 def _row(folder: Path, path: Path) -> dict[str, object]:
     """A record's row."""
+    from analysis.metrics import METRICS
+    from analysis.records import load
+    from hoi.record import read_metadata
+
     row: dict[str, object] = dict.fromkeys(FACTS, "")
     row["path"] = path.relative_to(folder).as_posix()
     try:
@@ -142,13 +155,19 @@ def _reasons(texts: list[str]) -> str:
 
 
 def main(arguments: list[str] | None = None, say: Callable[[str], None] = print) -> int:
-    parser = argparse.ArgumentParser(prog="python -m analysis.table", description="The tables of a folder of runs.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.table",
+        description="The tables of a folder of runs: every metric of every variant, as Markdown, CSV and more.",
+        epilog="example: python -m analysis.table runs --by scene",
+    )
     parser.add_argument("folder", type=Path, nargs="?", default=Path("runs"))
     parser.add_argument("-o", "--out", type=Path, help="folder for the tables; default: table in the folder of runs")
     parser.add_argument("--by", action="append", choices=["scene", "seed"], default=[], help="a row for each, too")
     parser.add_argument("--mos", type=Path, metavar="CSV", help="opinion scores of ours, from analysis.study score")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
     options = parser.parse_args(arguments)
+    from analysis.writers import write_tables
+
     try:
         runs = collect(options.folder, options.jobs)
         opinions = _opinions(options.mos)
@@ -169,6 +188,8 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
 
 def _opinions(path: Path | None) -> pd.DataFrame | None:
     """What `analysis.study score` wrote: experiment, variant, Q1 to Q4."""
+    import pandas as pd
+
     if path is None:
         return None
     try:

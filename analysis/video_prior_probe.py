@@ -8,24 +8,25 @@ asks for. The answer of a useful prior falls with d: out for d > 0, in for d < 0
 negative + g (positive - negative), so that both parts are told apart.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hoi.data import Array
 from hoi.errors import InputError
-from hoi.motion.prior import load_prior
-from hoi.refine.sds import predict_z
-from hoi.refine.views import Framing, viewpoint
-from hoi.video_prior.captions import captions
-from hoi.video_prior.clips import render
-from hoi.video_prior.contacts import OBJECT_SHARES, PEOPLE, Contact, sample_motions, stage_contact
-from hoi.video_prior.embedded import CROP, SIZE, EmbeddedPrior, load_embedded
+
+if TYPE_CHECKING:
+    import torch
+
+    from hoi.video_prior.contacts import Contact
+    from hoi.video_prior.embedded import EmbeddedPrior
 
 SEED = 99_991
 """No training has it."""
@@ -39,6 +40,9 @@ TIMES = (50, 150, 300, 500, 700)
 
 def held_out_contacts(count: int) -> list[Contact]:
     """Clean contacts at the clip's middle frame."""
+    from hoi.motion.prior import load_prior
+    from hoi.video_prior.contacts import sample_motions, stage_contact
+
     prior = load_prior()
     motions = sample_motions(prior, max(8, count // 2), SEED)
     found: list[Contact] = []
@@ -51,9 +55,17 @@ def held_out_contacts(count: int) -> list[Contact]:
     raise RuntimeError(f"only {len(found)} contacts in {100 * count} draws")
 
 
-@torch.no_grad()
 def answers(prior: EmbeddedPrior, contact: Contact, views: int, noises: int, rng: np.random.Generator) -> Array:
     """The way [m] asked for under the negative prompt and under the prompt, (distances, times, 2)."""
+    import torch
+
+    from hoi.refine.sds import predict_z
+    from hoi.refine.views import Framing, viewpoint
+    from hoi.video_prior.captions import captions
+    from hoi.video_prior.clips import render
+    from hoi.video_prior.contacts import OBJECT_SHARES, PEOPLE
+    from hoi.video_prior.embedded import CROP, SIZE
+
     key = contact.limb, list(OBJECT_SHARES).index(contact.shape), PEOPLE.index(contact.person)
     prior.prepare(captions(*key, "clean")[2], captions(*key, "flawed")[2])
     push = torch.from_numpy(np.exp(-(contact.times**2) / (2 * WIDTH**2))[:, None] * contact.strike).float()
@@ -83,8 +95,11 @@ def answers(prior: EmbeddedPrior, contact: Contact, views: int, noises: int, rng
 
 def probe(prior: EmbeddedPrior, contacts: int, views: int, noises: int) -> dict[str, Array]:
     """Answers of the prompt alone and of the guidance (prompt minus negative), (contacts, distances, times) [m]."""
+    import torch
+
     rng = np.random.default_rng(SEED)
-    each = np.stack([answers(prior, contact, views, noises, rng) for contact in held_out_contacts(contacts)])
+    with torch.no_grad():
+        each = np.stack([answers(prior, contact, views, noises, rng) for contact in held_out_contacts(contacts)])
     return {"prompt": each[..., 1], "guidance": each[..., 1] - each[..., 0]}
 
 
@@ -124,7 +139,9 @@ def draw_probe(found: dict[str, Array], path: Path) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.video_prior_probe", description="What the embedded video prior asks for."
+        prog="python -m analysis.video_prior_probe",
+        description="What the embedded video prior asks for, the limb being too deep in an object or short of it.",
+        epilog="example: python -m analysis.video_prior_probe -o probe.png",
     )
     parser.add_argument("--prior", help="a trained folder or file; default: the one in the package")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".png; the numbers go beside it as .json")
@@ -133,6 +150,10 @@ def main() -> int:
     parser.add_argument("--noises", type=int, default=2)
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
+    import torch
+
+    from hoi.video_prior.embedded import load_embedded
+
     torch.set_num_threads(options.threads)
     try:
         prior = load_embedded(options.prior)

@@ -78,11 +78,11 @@ class Material:
     model: str
     """Constitutive model, see `hoi.mpm`."""
     youngs_modulus: float
-    """E [Pa]."""
+    """Young's modulus E [Pa]."""
     poisson_ratio: float
-    """nu [-]."""
+    """Poisson's ratio nu [-]."""
     density: float
-    """rho [kg/m^3]."""
+    """Density rho [kg/m^3]."""
     restitution: float
     """Coefficient of restitution e of the impulse [-]."""
     ground_friction: float

@@ -2,8 +2,9 @@
 
 import fcntl
 import os
+import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import cast
 
@@ -12,16 +13,20 @@ from omegaconf import DictConfig, OmegaConf
 from hoi.config import Config
 from hoi.data import Plan, Run, State
 from hoi.errors import InputError
+from hoi.interrupt import gone_when_left
 from hoi.plan import format_plan, make_plan
 from hoi.validate import to_config
 
 RECORD, FAILED, LOCK = "run.mcap", "run.failed.mcap", ".lock"
 
 
-def execute(composed: DictConfig, overrides: list[str]) -> None:
+def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
     """The run of a composed config, or its runs, one a seed.
 
     A folder that another process computes into is waited for.
+
+    Returns:
+        the records; none of a plan alone.
 
     Raises:
         InputError: bad input, before anything is written.
@@ -31,14 +36,15 @@ def execute(composed: DictConfig, overrides: list[str]) -> None:
     plan = make_plan(config)
     print(format_plan(plan), flush=True)
     if config.plan_only:
-        return
+        return []
     from hoi.provenance import provenance
 
     with ExitStack() as held:
-        to_do = []
+        to_do, records = [], []
         for each, of_seed in seeds(composed, config):
             facts = provenance(each, of_seed, overrides)
             path = Path(each.out) / RECORD
+            records.append(path)
             if not _already_there(each, path, facts["config_hash"]):
                 held.enter_context(alone(path.parent))
                 if not _already_there(each, path, facts["config_hash"]):  # meanwhile
@@ -49,7 +55,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> None:
             if (video := path.with_suffix(".mp4")).exists():
                 print(f"{video}: its video")
         if not to_do:
-            return
+            return records
         from hoi.pipeline import Job, run
 
         jobs = [Job(*each) for each in to_do]
@@ -58,6 +64,12 @@ def execute(composed: DictConfig, overrides: list[str]) -> None:
         print(f"recorded {job.path}")
         if plan.keeps("render"):
             print(f"filmed {job.path.with_suffix('.mp4')}")
+    return records
+
+
+def what_next(records: list[Path]) -> str:
+    """What one may do with them, in a line."""
+    return f"next: hoi view {shlex.join(map(str, records[:2]))} (or hoi export, hoi strip, hoi video)"
 
 
 def is_finished(composed: DictConfig) -> bool:
@@ -139,10 +151,24 @@ def alone(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"out: cannot write to {folder}: {error.strerror}") from error
     try:
-        yield
+        with gone_when_left(path):
+            yield
     finally:
-        path.unlink(missing_ok=True)
         os.close(lock)
+
+
+def let_go(composed: DictConfig) -> None:
+    """Remove the locks that a process which was killed has left, but not those that another one holds."""
+    for _, of_seed in seeds(composed, to_config(composed)):
+        path = Path(of_seed.out) / LOCK
+        with suppress(OSError):  # there is none, or it is held
+            lock = os.open(path, os.O_RDWR)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(lock).st_ino == path.stat().st_ino:
+                    path.unlink()
+            finally:
+                os.close(lock)
 
 
 def _locked(path: Path) -> int:

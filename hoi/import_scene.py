@@ -22,12 +22,9 @@ from omegaconf import OmegaConf
 from hoi.config import CONF
 from hoi.data import Material
 from hoi.errors import InputError
-from hoi.gaussians import load_clean
 from hoi.mpm.materials import check_material
 from hoi.mpm.stability import time_step_limit
-from hoi.objects.cleaning import MIN_OPACITY, clean
 from hoi.physgaussian.reader import CAMERA, SceneFile, read_scene_file
-from hoi.physgaussian.space import boxes, frame_of, placing, planes, tidy, velocity
 
 REACH = 1.0
 """Way from the person to the object [m]."""
@@ -57,7 +54,7 @@ SNOW = {"hardening": 10.0, "critical_compression": 2.5e-2, "critical_stretch": 7
 LEFT_OUT = dict.fromkeys(CAMERA, "a camera; a record is looked at from anywhere") | {
     "particle_filling": "the interior is filled in another way, see hoi.objects.filling",
     "sim_area": "all of the object's file is simulated; cut the object out of it",
-    "opacity_threshold": f"Gaussians fainter than {MIN_OPACITY:g} are removed",
+    "opacity_threshold": "faint Gaussians are removed, see hoi.objects.cleaning",
     "rpic_damping": "motion is not damped",
     "pic_damping": "motion is not damped",
     "grid_v_damping_scale": "motion is not damped",
@@ -95,6 +92,10 @@ def convert(file: SceneFile, name: str, model: Path | None = None, size: float |
     Raises:
         InputError: a material that cannot be, or Gaussians that cannot be read.
     """
+    from hoi.gaussians import load_clean
+    from hoi.objects.cleaning import clean
+    from hoi.physgaussian.space import boxes, frame_of, placing, planes, tidy, velocity
+
     remarks = list(file.remarks)
     points = None if model is None else clean(load_clean(model)[0])[0].means.astype(np.float64)
     frame = frame_of(file, points, size, remarks)
@@ -267,7 +268,9 @@ def write_configs(imported: Imported, name: str, folder: Path, source: Path) -> 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m hoi.import_scene", description="Turn a scene file of PhysGaussian or DreamPhysics into configs."
+        prog="python -m hoi.import_scene",
+        description="Turn a scene file of PhysGaussian or DreamPhysics into configs.",
+        epilog="example: python -m hoi.import_scene ball_config.json --object model/ball --size 0.22",
     )
     parser.add_argument("file", type=Path, help=".json")
     parser.add_argument("--object", type=Path, help="its Gaussians: a model directory or a 3DGS file")

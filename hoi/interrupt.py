@@ -5,11 +5,25 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import NoReturn
 
 GRACE = 3.0
 """How long an interrupted program has to clean up before it is ended [s]."""
+
+_temporary: set[Path] = set()
+
+
+@contextmanager
+def gone_when_left(path: Path) -> Iterator[None]:
+    """The file `path` is removed at the end of the block, also where an interrupt ends the process within it."""
+    _temporary.add(path)
+    try:
+        yield
+    finally:
+        _temporary.discard(path)
+        path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -41,6 +55,9 @@ def interruptible() -> Iterator[None]:
 
 def _leave() -> NoReturn:
     """Ends the process at once: at its end Python may raise the signal again, and change the exit code."""
+    for path in tuple(_temporary):
+        with suppress(OSError):
+            path.unlink()
     print("hoi: interrupted; what was not finished is not recorded", file=sys.stderr)
     sys.stdout.flush()
     sys.stderr.flush()

@@ -10,13 +10,14 @@ import os
 import sys
 
 import hydra
+from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, register
 from hoi.errors import InputError, RunError
-from hoi.execute import execute
+from hoi.execute import execute, what_next
 from hoi.interrupt import interruptible
 from hoi.sweep import Ended, run_of_sweep
 
@@ -34,7 +35,7 @@ def one_line(error: BaseException) -> str:
 
 
 def main() -> None:
-    """Entry point of `python -m hoi.run` and of the `hoi` command."""
+    """Entry point of `python -m hoi.run`, which is `hoi run`."""
     if not (3, 11) <= sys.version_info[:2] <= (3, 13):
         sys.exit(f"hoi needs Python 3.11 to 3.13 (what taichi has wheels for), this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
@@ -45,6 +46,7 @@ def main() -> None:
 def _compose_and_execute() -> int:
     """All jobs of the command line; the exit code."""
     register()
+    _share_config_store()
     code, this = 0, os.getpid()
 
     def job(composed: DictConfig) -> Ended | None:
@@ -56,7 +58,8 @@ def _compose_and_execute() -> int:
         if settings.mode is not None and settings.mode.name == "MULTIRUN":
             return run_of_sweep(composed, overrides, this)
         try:
-            execute(composed, overrides)
+            if records := execute(composed, overrides):
+                print(what_next(records))
         except (InputError, RunError) as error:
             print(f"hoi: {error}", file=sys.stderr)
             code = 2 if isinstance(error, InputError) else 3
@@ -74,6 +77,11 @@ def _compose_and_execute() -> int:
         print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)
         code = 2
     return code
+
+
+def _share_config_store() -> None:
+    """Hydra copies its store of schemas, one for all, with every group that it looks into: a second of --help."""
+    ConfigStore.__deepcopy__ = lambda self, memo: self  # pyright: ignore[reportAttributeAccessIssue]
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from hydra.core.utils import JobReturn
 from omegaconf import DictConfig
 
 from hoi.errors import InputError, RunError
-from hoi.execute import execute, is_finished, record_failure
+from hoi.execute import execute, is_finished, let_go, record_failure
 
 WATCH = 1.0
 """How often a worker looks whether its sweep is still there [s]."""
@@ -103,6 +103,7 @@ def _in_own_process(composed: DictConfig, overrides: list[str], sweep: int) -> s
     finally:
         process.kill()
         process.wait()
+        let_go(composed)
 
 
 @cache

@@ -8,7 +8,7 @@ import torch
 
 from analysis.motion import measures, sources
 from analysis.motion.report import write
-from hoi.motion import train
+from hoi.motion import training as trainings
 from hoi.motion.dataset import TrainingSet
 
 CLIPS = Path(__file__).parents[2] / "shared" / "data" / "motions"
@@ -117,7 +117,7 @@ def test_the_report_has_both_tables(tmp_path):
 
 @pytest.mark.skipif(not CLIPS.is_dir(), reason="no motion clips here")
 def test_nothing_of_a_held_out_motion_is_trained_on():
-    training, held_out = train.read_split(CLIPS)
+    training, held_out = trainings.read_split(CLIPS)
     positions = [data.features[:, ::8, 136:].flatten(1) for data in (training, held_out)]
     nearest = torch.cdist(positions[1], positions[0]).amin(1) / math.sqrt(5 * 23)
     assert float(nearest.min()) > 0.02  # [m], a joint; another walk of the same gait is as near as 3 cm

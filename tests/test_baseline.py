@@ -8,7 +8,7 @@ import pytest
 import torch
 from demo_run import BALL_RADIUS, GROUND, ball, kick, make_run, person
 
-from analysis.baseline import __main__ as baseline
+from analysis.baseline import run as baseline
 from analysis.baseline.clips import Clip, clips_of, mirrored, nearest, shipped_clips, with_mirrored
 from analysis.baseline.replay import carried_on, free_path, strike_at, strike_of
 from hoi import record

@@ -10,6 +10,7 @@ import torch
 from hoi.body.kinematics import joint_positions, rotation_to_6d
 from hoi.errors import InputError
 from hoi.motion import dataset, deepmimic, sample, train
+from hoi.motion import training as trainings
 from hoi.motion.dataset import FRAMES, PEAK_FRAMES, Clip, build_training_set, mirror, window_starts
 from hoi.motion.prior import load_prior
 
@@ -166,7 +167,7 @@ def clip_data(tmp_path_factory):
 
 def test_training_learns_resumes_and_publishes(tmp_path, clip_data):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    train.train(options(whole, "--data", str(clip_data), "--steps", "100"), "the command")
+    trainings.train(options(whole, "--data", str(clip_data), "--steps", "100"), "the command")
     log = [json.loads(line) for line in (whole / "log.jsonl").read_text().splitlines()]
     assert [row["step"] for row in log] == [50, 100] and log[1]["loss"] < 0.9 * log[0]["loss"]
     assert (whole / "curve.png").read_bytes()[1:4] == b"PNG"
@@ -178,11 +179,11 @@ def test_training_learns_resumes_and_publishes(tmp_path, clip_data):
     # broken off at step 50 of the same schedule
     chosen = options(parts, "--data", str(clip_data), "--steps", "100")
     parts.mkdir()
-    training = train.Training(train.read_data(chosen)[0], chosen)
+    training = trainings.Training(trainings.read_data(chosen)[0], chosen)
     for _ in range(50):
         training.advance()
-    train.write_atomically(parts / "checkpoint.pt", training.state())
-    train.train(options(parts, "--data", str(clip_data), "--steps", "100", "--resume"), "")
+    trainings.write_atomically(parts / "checkpoint.pt", training.state())
+    trainings.train(options(parts, "--data", str(clip_data), "--steps", "100", "--resume"), "")
     for name, value in load_prior(parts).denoiser.state_dict().items():
         torch.testing.assert_close(value, prior.denoiser.state_dict()[name])
 
@@ -198,7 +199,7 @@ def test_training_learns_resumes_and_publishes(tmp_path, clip_data):
 
 def test_windows_are_drawn_by_weight_and_some_without_text(clip_data, tmp_path):
     chosen = options(tmp_path, "--data", str(clip_data), "--batch", "4000", "--text-noise", "0")
-    training = train.Training(train.read_data(chosen)[0], chosen)
+    training = trainings.Training(trainings.read_data(chosen)[0], chosen)
     x0, noise, t, text = training.batch()
     empty = (text == training.text[0]).all(dim=-1).float().mean()
     assert float(empty) == pytest.approx(0.1, abs=0.02)
@@ -208,10 +209,10 @@ def test_windows_are_drawn_by_weight_and_some_without_text(clip_data, tmp_path):
 
 def test_nothing_to_train_on_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="--data"):
-        train.train(options(tmp_path), "")
+        trainings.train(options(tmp_path), "")
     with pytest.raises(InputError, match="holds no"):
-        train.train(options(tmp_path, "--data", str(tmp_path)), "")
+        trainings.train(options(tmp_path, "--data", str(tmp_path)), "")
     with pytest.raises(InputError, match="--resume"):
-        train.train(options(tmp_path, "--resume"), "")
+        trainings.train(options(tmp_path, "--resume"), "")
     with pytest.raises(InputError, match="--frames"):
         sample.sample(sample.parser().parse_args(["kick", "-o", str(tmp_path / "x.npz"), "--frames", "2"]))

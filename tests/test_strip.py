@@ -11,6 +11,7 @@ from analysis import strip
 from hoi import record
 from hoi.data import ContactSearch, State
 from hoi.gaussians import sh_from_colours
+from hoi.render.film import choose_frames
 
 
 @pytest.fixture(autouse=True)
@@ -41,7 +42,7 @@ def picture(path):
 )
 @pytest.mark.parametrize("count", (1, 2, 3, 8, 24))
 def test_frames_hold_the_contact_and_the_ends(frames, contact, count):
-    chosen = strip.choose_frames(frames, count, contact)
+    chosen = choose_frames(frames, count, contact)
     assert chosen == sorted(set(chosen)) and 0 <= chosen[0] and chosen[-1] < frames
     assert len(chosen) == min(count, frames)
     if contact is not None:

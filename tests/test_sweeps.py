@@ -53,7 +53,7 @@ def test_the_benchmark_has_every_scene_and_every_ablation(name):
     if find_spec("submitit") is None and name == "cluster_slurm":
         pytest.skip("hoi[cluster] is not installed")
     listed = choices(name)
-    assert set(listed["scene"]) == in_conf("scene") and len(listed["scene"]) == 9
+    assert set(listed["scene"]) == in_conf("scene") and len(listed["scene"]) == 10
     assert set(listed["ablation"]) == in_conf("ablation") and len(listed["ablation"]) == 6
 
 

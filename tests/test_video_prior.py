@@ -14,6 +14,7 @@ from hoi.errors import InputError
 from hoi.motion.prior import load_prior
 from hoi.motion.text import MINILM_SHA256, TextEncoder
 from hoi.video_prior import contacts, train
+from hoi.video_prior import training as trainings
 from hoi.video_prior.captions import SENTENCES, captions
 from hoi.video_prior.clips import Clips, draw, load_clips, render, save_clips
 from hoi.video_prior.contacts import CLEAN, FLAWS, LIMBS, OBJECT_SHARES, PEOPLE, Solid, sample_motions, spoil
@@ -305,15 +306,15 @@ def options_for(*words: str) -> argparse.Namespace:
 @pytest.fixture
 def quick(monkeypatch, tmp_path):
     """Training on random clips with a text encoder that costs nothing."""
-    monkeypatch.setattr(train, "minilm", lambda: fake_encoder())
-    monkeypatch.setattr(train, "provide_clips", lambda folder, views, seed: random_clips(views, seed))
+    monkeypatch.setattr(trainings, "minilm", lambda: fake_encoder())
+    monkeypatch.setattr(trainings, "provide_clips", lambda folder, views, seed: random_clips(views, seed))
     threads = torch.get_num_threads()
     yield tmp_path
     torch.set_num_threads(threads)
 
 
 def test_a_view_is_seen_clean_and_flawed_and_flawed_is_mended(quick) -> None:
-    training = train.Training(random_clips(8), options_for("--out", str(quick)))
+    training = trainings.Training(random_clips(8), options_for("--out", str(quick)))
     z, wanted, noise, t, text = training.batch()
     assert z.shape == wanted.shape == noise.shape == (6, CLIP_FRAMES, 48, 16, 16)
     assert text.shape == (6, 8)
@@ -322,14 +323,14 @@ def test_a_view_is_seen_clean_and_flawed_and_flawed_is_mended(quick) -> None:
     torch.testing.assert_close(mended, flawed)
     assert (clean - flawed).abs().max() > 0
     torch.testing.assert_close(noise[:2], noise[4:])
-    torch.testing.assert_close(t[:2].clamp(min=train.MEND_FROM), t[4:])
+    torch.testing.assert_close(t[:2].clamp(min=trainings.MEND_FROM), t[4:])
 
 
 def test_the_velocity_asked_for_gives_what_is_wanted(quick) -> None:
     """A denoiser that answers exactly that velocity has no loss, and its z_hat is the clean clip."""
     from hoi.refine.sds import predict_z
 
-    training = train.Training(random_clips(8), options_for("--out", str(quick)))
+    training = trainings.Training(random_clips(8), options_for("--out", str(quick)))
     z, wanted, noise, t, text = training.batch()
     alpha_bar = training.alphas_cumprod.to(z)[t][:, None, None, None, None]
     told = []
@@ -350,13 +351,13 @@ def test_the_velocity_asked_for_gives_what_is_wanted(quick) -> None:
 def test_training_resumes_exactly_and_leaves_a_prior(quick, monkeypatch) -> None:
     whole, broken = quick / "whole", quick / "broken"
     base = ("--clips", "12", "--lr", "3e-3", "--save-minutes", "0")
-    train.train(options_for("--out", str(whole), "--steps", "8", *base), "whole")
+    trainings.train(options_for("--out", str(whole), "--steps", "8", *base), "whole")
     # The schedule is fitted to the steps, so that the first half is run as a part of the same whole.
-    monkeypatch.setattr(train.Training, "progress", lambda self: self.step / 8 if self.step < stop else 1.0)
+    monkeypatch.setattr(trainings.Training, "progress", lambda self: self.step / 8 if self.step < stop else 1.0)
     stop = 3
-    train.train(options_for("--out", str(broken), "--steps", "8", *base), "first part")
+    trainings.train(options_for("--out", str(broken), "--steps", "8", *base), "first part")
     stop = 8
-    train.train(options_for("--out", str(broken), "--steps", "8", *base, "--resume"), "second part")
+    trainings.train(options_for("--out", str(broken), "--steps", "8", *base, "--resume"), "second part")
     one, two = (torch.load(f / "checkpoint.pt", weights_only=True) for f in (whole, broken))
     assert one["step"] == two["step"] == 8
     assert all(torch.equal(value, two["denoiser"][name]) for name, value in one["denoiser"].items())
@@ -374,12 +375,12 @@ def test_training_resumes_exactly_and_leaves_a_prior(quick, monkeypatch) -> None
 
 def test_nothing_to_resume_is_told_in_one_line(quick) -> None:
     with pytest.raises(InputError, match="--resume"):
-        train.train(options_for("--out", str(quick), "--resume"), "")
+        trainings.train(options_for("--out", str(quick), "--resume"), "")
 
 
 def test_training_learns(quick) -> None:
     options = options_for("--out", str(quick), "--lr", "4e-3", "--batch", "9", "--steps", "100", "--time-power", "1")
-    training = train.Training(random_clips(4), options)
+    training = trainings.Training(random_clips(4), options)
     training.denoiser.variance.fill_(1)  # nothing is known of the clips
     batch = training.batch()
 

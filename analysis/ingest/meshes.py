@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.ingest.gltf import Animated
 from hoi.data import Array
 from hoi.errors import InputError
-from hoi.record.checks import Refused, check_npz
 
 MOST_FRAMES = 2000
 MOST_NUMBERS = 3 * 10**8
@@ -87,6 +85,8 @@ def checked(mesh: MeshSequence, path: Path) -> MeshSequence:
 
 
 def _glb(path: Path, node: str | None, fps: float) -> MeshSequence:
+    from analysis.ingest.gltf import Animated
+
     file = Animated(path)
     parts = file.below(node)
     frames = int(round(file.end * fps, 6)) + 1
@@ -109,6 +109,8 @@ def _glb(path: Path, node: str | None, fps: float) -> MeshSequence:
 
 
 def _npz(path: Path) -> MeshSequence:
+    from hoi.record.checks import Refused, check_npz
+
     try:
         check_npz(path.name, path.read_bytes())
         with np.load(path, allow_pickle=False) as file:

@@ -14,7 +14,9 @@ from hoi.errors import InputError, RunError
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.learned", description="Learned scores of the videos of a folder of runs."
+        prog="python -m analysis.learned",
+        description="Learned scores of the videos of a folder of runs.",
+        epilog="example: python -m analysis.learned runs",
     )
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="holds run.mcap files, at any depth")

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from hoi.errors import InputError
-from hoi.record import message_digest
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,8 @@ def read_scores(record: Path) -> dict[str, float]:
     Raises:
         InputError: the file is malformed, or belongs to another record.
     """
+    from hoi.record import message_digest
+
     sidecar = read(sidecar_path(record))
     if sidecar is None:
         return {}

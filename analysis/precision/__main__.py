@@ -37,7 +37,11 @@ class Parser(argparse.ArgumentParser):
 
 
 def main() -> None:
-    parser = Parser(prog="python -m analysis.precision", description="Error against run time.")
+    parser = Parser(
+        prog="python -m analysis.precision",
+        description="Error against run time, of physics, renderer and stage 3: tables, reports, pictures.",
+        epilog="example: python -m analysis.precision --problems physics --quick",
+    )
     parser.add_argument("-o", "--out", type=Path, default=DEFAULT_OUT, help=f"folder (default {DEFAULT_OUT})")
     parser.add_argument("--problems", help="names, physics, renderer or contacts, separated by commas")
     parser.add_argument("--quick", action="store_true", help="few and small variants of two problems and of pictures")

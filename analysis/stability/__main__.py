@@ -16,8 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import pandas as pd
-
 from analysis.stability.cases import CASES, Case, quick
 from analysis.stability.verdict import Verdict
 from hoi.errors import InputError
@@ -35,7 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m analysis.stability", description="Extreme cases of the MPM.")
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.stability",
+        description="Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
+        epilog="example: python -m analysis.stability --quick -o runs/stability",
+    )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/stability"), help="folder for the CSV and the map")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     parser.add_argument("--quick", action="store_true", help="a few dozen cases")
@@ -68,6 +70,8 @@ def _one(name: str) -> int:
 
 
 def _all(cases: list[Case], jobs: int, folder: Path) -> int:
+    import pandas as pd
+
     from analysis.stability.chart import draw
     from analysis.stability.workers import run_all
 

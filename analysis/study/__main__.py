@@ -17,7 +17,10 @@ from hoi.errors import InputError, RunError
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.study", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m analysis.study",
+        description=__doc__,
+        epilog="example: python -m analysis.study make runs -o study.html",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True)
     page = commands.add_parser("make", help="a page from the videos of recorded runs")

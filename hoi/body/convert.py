@@ -12,9 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hoi.body.avatar import LICENCE_MARK, save_avatar
 from hoi.body.clothing import OUTFITS
-from hoi.body.smpl import load_smpl
 from hoi.body.unpickle import read_arrays
 from hoi.data import Body
 from hoi.errors import InputError
@@ -43,7 +41,9 @@ def read_betas(text: str) -> list[float]:
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m hoi.body.convert", description="Turn your own SMPL body or HUGS person into an avatar."
+        prog="python -m hoi.body.convert",
+        description="Turn your own SMPL body or HUGS person into an avatar.",
+        epilog="example: python -m hoi.body.convert --smpl SMPL_MALE.pkl --betas=0.5,-1 --outfit man -o me",
     )
     parser.add_argument("--smpl", type=Path, required=True, help="SMPL, SMPL-H or SMPL-X model file, .npz or .pkl")
     parser.add_argument("--betas", help="shape: --betas=-0.5,1,... or a file with betas; default: the mean")
@@ -62,6 +62,8 @@ def person_of(options: argparse.Namespace) -> Body:
     Raises:
         InputError: a file or an option that cannot be used.
     """
+    from hoi.body.smpl import load_smpl
+
     if options.seed < 0:
         raise InputError(f"--seed must be 0 or more, got {options.seed}")
     betas = [] if options.betas is None else read_betas(options.betas)
@@ -88,6 +90,8 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: as `person_of`, or the folder cannot be written.
     """
+    from hoi.body.avatar import LICENCE_MARK, save_avatar
+
     body = person_of(options)
     try:
         save_avatar(body, options.out)

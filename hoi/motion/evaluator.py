@@ -1,14 +1,10 @@
 """A judge of motions: sentences and motions in one space, close where the one describes the other.
 
-    python -m hoi.motion.evaluator --data DIR --out OUT
-
-trains it on the clips that priors are trained on, never on those held out, and writes OUT/evaluator.safetensors.
+`hoi.motion.train_evaluator` trains it on the clips that priors are trained on, never on those held out.
 Contrastive as in TMR (Petrovich et al. 2023) and the evaluators of text-to-motion (Guo et al. 2022), but small: what it
 knows are a few dozen kinds of motion and their sides.
 """
 
-import argparse
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +17,6 @@ from hoi.errors import InputError
 from hoi.motion.dataset import TrainingSet
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.text import TextEncoder, default_cache, minilm
-from hoi.motion.train import read_split
 
 FILE_NAME = "evaluator.safetensors"
 FORMAT = "hoi motion evaluator 1"
@@ -164,23 +159,3 @@ def load_evaluator(path: Path = SHIPPED, text_cache: Path | None = None) -> Eval
     except (KeyError, RuntimeError) as error:
         raise InputError(f"evaluator: {path} is of another architecture: {str(error).splitlines()[0]}") from error
     return Evaluator(towers.eval().requires_grad_(False), encoder, known)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m hoi.motion.evaluator", description="Train the judge of motions.")
-    parser.add_argument("--data", type=Path, required=True, help="folder of .npz clip files and captions.json")
-    parser.add_argument("--out", type=Path, required=True, help=f"folder for {FILE_NAME}")
-    parser.add_argument("--steps", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    try:
-        training, _ = read_split(options.data)
-        save_evaluator(train_evaluator(training, options.steps, seed=options.seed), options.out / FILE_NAME)
-    except (InputError, OSError) as error:
-        print(f"hoi.motion.evaluator: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

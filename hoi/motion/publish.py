@@ -24,7 +24,7 @@ def publish(state: dict[str, Any], facts: dict[str, Any], out: Path) -> None:
     """Write prior.safetensors, prior.json, training.json and curve.png.
 
     Args:
-        state: a training's checkpoint (see `hoi.motion.train.Training.state`); the moving average is what is published.
+        state: a training's checkpoint (`hoi.motion.training.Training.state`); the moving average is what is published.
         facts: what the checkpoint does not know: command, hardware, data files and their hashes, windows per label.
         out: folder that holds log.jsonl.
     """

@@ -12,26 +12,21 @@ The .mcap is a record with a person and no object, which `analysis.strip`, `hoi.
 take. Exit codes: 0 done; 2 bad input.
 """
 
+from __future__ import annotations
+
 import argparse
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import roma
-import torch
 
-from hoi import record
-from hoi.body.kinematics import forward_kinematics, local_rotations
-from hoi.body.people import load_person
-from hoi.body.skinning import posed_means
 from hoi.data import Body, GaussianCloud, Material, Motion, Plan, Plane, Run, Scene, SceneObject, State, Step
 from hoi.errors import InputError, RunError
-from hoi.gaussians import colours
-from hoi.motion.distillation import leg_length
-from hoi.motion.features import decode
-from hoi.motion.imports import sole_height
-from hoi.motion.prior import MotionPrior, load_prior
+
+if TYPE_CHECKING:
+    from hoi.motion.prior import MotionPrior
 
 SUFFIXES = (".npz", ".mcap")
 MOST_FRAMES = 4000
@@ -41,7 +36,11 @@ VIEWING_POINTS = 6000
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m hoi.motion.sample", description="Draw a motion from a sentence.")
+    parser = argparse.ArgumentParser(
+        prog="python -m hoi.motion.sample",
+        description="Draw a motion from a sentence: an .npz as in AMASS, or a record with a person and no object.",
+        epilog='example: python -m hoi.motion.sample "a person kicks" -o kick.mcap --person woman',
+    )
     parser.add_argument("prompt")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".npz as in AMASS, or .mcap to look at")
     parser.add_argument("--frames", type=int, default=40)
@@ -63,6 +62,15 @@ def sample(options: argparse.Namespace) -> None:
         InputError: an option is out of range, the prior cannot be loaded, or the file not written.
         RunError: the disk is full.
     """
+    import torch
+
+    from hoi import record
+    from hoi.body.people import load_person
+    from hoi.body.skinning import posed_means
+    from hoi.gaussians import colours
+    from hoi.motion.features import decode
+    from hoi.motion.prior import load_prior
+
     started = time.perf_counter()
     if options.out.suffix not in SUFFIXES:
         raise InputError(f"--out {options.out}: must end in {' or '.join(SUFFIXES)}")
@@ -89,6 +97,11 @@ def sample(options: argparse.Namespace) -> None:
 
 def on_body(motion: Motion, prior: MotionPrior, body: Body) -> Motion:
     """The motion of the prior's skeleton on a body of other size, its soles on the ground."""
+    import torch
+
+    from hoi.motion.distillation import leg_length
+    from hoi.motion.imports import sole_height
+
     ratio = float(leg_length(torch.as_tensor(body.rest_joints)) / leg_length(prior.rest_joints.cpu()))
     translation = motion.translation * np.float32(ratio)
     translation[:, 2] += sole_height(body)
@@ -121,6 +134,11 @@ def run_of(
 
 
 def _write_npz(options: argparse.Namespace, prior: MotionPrior, motion: Motion) -> None:
+    import roma
+    import torch
+
+    from hoi.body.kinematics import forward_kinematics, local_rotations
+
     parts = (torch.from_numpy(part) for part in (motion.orientation, motion.body_pose))
     local, rest_joints = local_rotations(*parts), prior.rest_joints.cpu()
     _, joints = forward_kinematics(local, torch.from_numpy(motion.translation), rest_joints)

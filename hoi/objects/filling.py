@@ -152,7 +152,7 @@ def _inside_mesh(vertices: Array, faces: NDArray[np.integer], axes: Sequence[Arr
         u = (px * ac[:, 1] - py * ac[:, 0]) / area
         v = (ab[:, 0] * py - ab[:, 1] * px) / area
         hit = (u >= 0) & (v >= 0) & (u + v <= 1)
-    height = (a[:, 2] + u * ab[:, 2] + v * ac[:, 2])[hit]
+    height = a[hit, 2] + u[hit] * ab[hit, 2] + v[hit] * ac[hit, 2]
     winding = np.zeros((len(x), len(y), len(z) + 1), np.int32)
     np.add.at(winding, (i[hit], j[hit], np.searchsorted(z, height)), np.where(area[hit] < 0, 1, -1))
     return winding.cumsum(2)[:, :, :-1] > 0

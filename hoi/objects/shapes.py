@@ -25,14 +25,15 @@ _WIDTH = 0.62  # standard deviation in spacings: neighbours blend without gaps
 _THICKNESS = 0.08  # likewise, along the normal
 _RIM = 0.7  # width of a box's outermost Gaussians beside the others
 _SPHERE_SUBDIVISIONS = 4
+_SECTIONS = 64  # of a cylinder
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A ball or a box with a pattern."""
+    """A ball, a box or an upright cylinder with a pattern."""
 
     kind: str
-    """"ball" or "box"."""
+    """"ball", "box" or "cylinder"."""
     extent: tuple[float, float, float]
     """Bounding box [m]."""
     pattern: Pattern
@@ -60,6 +61,9 @@ def build(shape: Shape, size: float) -> Surface:
     if shape.kind == "ball":
         mesh = trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS, radius=size / 2)
         points, frames, footprints = _cover_sphere(size / 2)
+    elif shape.kind == "cylinder":
+        mesh = trimesh.creation.cylinder(extent[0] / 2, extent[2], sections=_SECTIONS)
+        points, frames, footprints = _cover_cylinder(extent[0] / 2, extent[2])
     else:
         mesh = trimesh.creation.box(extents=extent)
         points, frames, footprints = _cover_box(extent, shape.front_detail)
@@ -112,6 +116,27 @@ def _cover_box(extent: Array, front_detail: float) -> tuple[Array, Array, Array]
         points.append(face)
         frames.append(np.broadcast_to(frame, (len(index), 3, 3)))
         footprints.append(np.where(rim, _RIM, 1.0) * tile)
+    return np.concatenate(points), np.concatenate(frames), np.concatenate(footprints)
+
+
+def _cover_cylinder(radius: float, height: float) -> tuple[Array, Array, Array]:
+    """The same for an upright cylinder: rings around its side, and rings on its ends."""
+    spacing = np.sqrt(2 * np.pi * radius * (height + radius) / _count(2 * np.pi * radius * (height + radius)))
+    rows, rings = max(1, round(height / spacing)), max(1, round(radius / spacing))
+    levels = (np.arange(rows) + 0.5) * height / rows - height / 2
+    bands = [(radius, level, height / rows, 0) for level in levels]
+    widths = (np.arange(rings) + 0.5) * radius / rings
+    bands += [(width, end * height / 2, radius / rings, end) for end in (-1, 1) for width in widths]
+    points, frames, footprints = [], [], []
+    for width, level, across, end in bands:
+        count = max(1, round(2 * np.pi * width / spacing))
+        angle = 2 * np.pi * (np.arange(count) + 0.5) / count
+        out = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        along = np.column_stack([-out[:, 1], out[:, 0], 0 * angle])
+        normal = out if end == 0 else np.broadcast_to([0.0, 0.0, end], out.shape)
+        points.append(width * out + [0, 0, level])
+        frames.append(np.stack([along, np.cross(normal, along), normal], 2))
+        footprints.append(np.tile([2 * np.pi * width / count, across], (count, 1)))
     return np.concatenate(points), np.concatenate(frames), np.concatenate(footprints)
 
 
@@ -238,7 +263,19 @@ def _jelly(points: Array, normals: Array) -> Array:
     return rgb
 
 
+def _sand_bag(points: Array, normals: Array) -> Array:
+    """Red leather in panels, two black bands and a black foot."""
+    angle, z = np.arctan2(points[:, 1], points[:, 0]), points[:, 2] / SAND_BAG_EXTENT[2] + 0.5
+    rgb = np.tile([0.62, 0.10, 0.09], (len(points), 1))
+    seam = np.abs((angle / (np.pi / 2)) % 1 - 0.5) > 0.49
+    rgb[seam] = [0.36, 0.06, 0.05]
+    rgb[(np.abs(z - 0.3) < 0.02) | (np.abs(z - 0.8) < 0.02) | (z < 0.08)] = [0.08, 0.08, 0.09]
+    rgb[normals[:, 2] > 0.5] = [0.30, 0.05, 0.05]
+    return rgb
+
+
 FILE_CABINET_EXTENT = (0.46, 0.62, 1.0)
+SAND_BAG_EXTENT = (0.3, 0.3, 0.45)
 CARDBOARD_BOX_EXTENT = (0.4, 0.4, 0.4)
 JELLY_BLOCK_EXTENT = (0.4, 0.4, 1.2)
 JELLY_SHARE = 0.3
@@ -254,5 +291,6 @@ SHAPES = {
     "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012)),
     "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly),
     "clay_block": Shape("box", (0.2, 0.2, 0.2), _speckled((0.58, 0.36, 0.24), 0.10, 0.025)),
+    "sand_bag": Shape("cylinder", SAND_BAG_EXTENT, _sand_bag),
     "snow_block": Shape("box", (0.3, 0.3, 0.3), _speckled((0.90, 0.93, 0.97), 0.04, 0.02)),
 }

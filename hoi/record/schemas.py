@@ -109,6 +109,19 @@ PROTOBUF_SCHEMAS: dict[str, Any] = {
     "/camera/video": CompressedVideo,
 }
 
+ATTACHMENTS = {
+    "config.yaml": "the whole composed config",
+    "plan.txt": "the plan as it was printed",
+    "plan.json": "the plan: steps, omissions, checks, variant",
+    "scene.json": "names, prompt, frames, frame rate, gravity, planes, materials, where the person comes from",
+    "body.npz": "the person's Gaussians in the T-pose, skinning weights, joints, pose blend shapes where there are any",
+    "object.npz": "the object's Gaussians and particles at t = 0, rest volumes, regions where there are any",
+    "state.json": "which parts of the state there are, j*, t*, the smallest gap",
+    "reports.json": "of each stage: seconds, iterations, numbers, notes",
+    "history.csv": "losses by stage and iteration",
+}
+"""What stands beside the messages."""
+
 
 POINT = np.dtype([(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue", "alpha")])
 """One packed point of a `foxglove.PointCloud`."""

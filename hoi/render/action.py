@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, median_filter
 
 from hoi.data import Array
 
@@ -49,6 +48,8 @@ class Action:
         Between person and object; after one that leaves it goes no further than `LOOK_AHEAD`. Outlying frames do not
         count, and steady motion, up to both ends, is left as it is.
         """
+        from scipy.ndimage import gaussian_filter1d
+
         middle, frames = self._middle(), self._steady()
         times = np.arange(len(middle))
         path = np.stack([np.interp(times, times[frames], middle[frames, axis]) for axis in range(3)], -1)
@@ -81,6 +82,8 @@ class Action:
 
     def _steady(self) -> NDArray[np.bool_]:
         """The frames in which nothing has jumped out and back, (T,)."""
+        from scipy.ndimage import median_filter
+
         middle = self._middle()
         steady = np.linalg.norm(middle - median_filter(middle, (5, 1), mode="mirror"), axis=1) < OUTLYING
         return steady if steady.any() else ~steady  # a motion that is all jumps is framed whole

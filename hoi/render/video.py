@@ -45,7 +45,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="python -m hoi.render.video",
         description="Videos, filmstrips and cameras of finished runs; several runs are seen side by side.",
-        epilog="Without -o, --png and --cameras the video is written beside the first record, as VIEW.mp4.",
+        epilog="Without -o, --png and --cameras the video is written beside the first record, as VIEW.mp4. "
+        "Example: python -m hoi.render.video runs/kick_soccer_ball/laptop/full/s0/run.mcap --view side -o side.mp4",
     )
     add = parser.add_argument
     add("records", type=Path, nargs="+", metavar="RUN.mcap")

@@ -4,13 +4,16 @@
 timesteps t = 0 .. 999 for every prior.
 """
 
-from typing import Protocol
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Protocol
 
 from hoi.choices import VideoPriorKind
 from hoi.config import VideoSDSConf
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 
 class VideoPrior(Protocol):

@@ -22,7 +22,7 @@ def publish(state: dict[str, Any], clips: Clips, held_out: int, facts: dict[str,
     """Write video_prior.safetensors, training.json and curve.png.
 
     Args:
-        state: a training's checkpoint (see `hoi.video_prior.train.Training.state`); its moving average is published.
+        state: a training's checkpoint (see `hoi.video_prior.training.Training.state`); its moving average is published.
         held_out: how many of the clips, the last ones, were only tested on.
         facts: what the checkpoint does not know: command, hardware.
         out: folder that holds log.jsonl.

@@ -1,0 +1,58 @@
+"""From a folder of runs to the page."""
+
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from analysis.report.extras import read_extra, read_opinions
+from analysis.report.page import build
+from analysis.report.shown import Shown, look
+from analysis.table import TOGETHER, UNREADABLE, collect
+from hoi.errors import InputError
+from hoi.render.encode import whole_file
+
+
+def make(
+    folder: Path,
+    out: Path,
+    study: Path | None = None,
+    videos: bool = True,
+    limit: int = 200,
+    jobs: int = 1,
+) -> tuple[int, list[str]]:
+    """Write the page, with at most `limit` megabytes of pictures and videos.
+
+    Returns:
+        how many records stand in it, and what could not be read.
+
+    Raises:
+        InputError: no record, a study without scores, or the page cannot be written there.
+    """
+    if limit < 0:
+        raise InputError(f"--limit-mb {limit}: 0 or more is allowed")
+    runs = collect(folder, jobs)
+    opinions = None if study is None else read_opinions(study)
+    rows = runs.to_dict("records")
+    looks = partial(_look, folder)
+    if jobs > 1 and len(rows) >= TOGETHER:
+        with ProcessPoolExecutor(jobs) as pool:
+            shown = list(pool.map(looks, enumerate(rows, 1), chunksize=2))
+    else:
+        shown = [looks(numbered) for numbered in enumerate(rows, 1)]
+    extras = [
+        read_extra("precision", "Precision against run time", "make precision", folder / "precision"),
+        read_extra("stability", "Stability", "make stability", folder / "stability"),
+        read_extra(
+            "study", "User study", "python -m analysis.study score ANSWERS --key KEY -o DIR (then --study DIR)", study
+        ),
+    ]
+    page = build(runs, shown, extras, opinions, videos, limit * 10**6)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(out) as part:
+        part.write_bytes(page.encode("utf-8", "replace"))
+    wrong = [str(row["reason"]) for row in rows if row["status"] == UNREADABLE]
+    return len(rows), wrong + [str(text) for text in runs["warning"].dropna()]
+
+
+def _look(folder: Path, numbered: tuple[int, dict]) -> Shown:
+    return look(folder, numbered[1], f"run-{numbered[0]}")

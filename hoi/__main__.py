@@ -1,0 +1,5 @@
+"""`python -m hoi` is the command `hoi`."""
+
+from hoi.cli import main
+
+main()

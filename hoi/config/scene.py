@@ -1,0 +1,96 @@
+"""Where, when and how it is seen: placement, walls, prompts, the video."""
+
+from dataclasses import dataclass, field
+
+from omegaconf import MISSING
+
+from hoi.choices import Approach, PlaneContact, RenderBackend, RenderKind, View
+
+
+@dataclass
+class RenderConf:
+    """The video of the finished run."""
+
+    kind: RenderKind = MISSING
+    """A video, or none."""
+
+
+@dataclass
+class VideoConf(RenderConf):
+    """One picture a frame, from one camera."""
+
+    view: View = MISSING
+    """Where the camera stands."""
+    width: int = MISSING
+    """Of a picture [pixel], even."""
+    height: int = MISSING
+    """Of a picture [pixel], even."""
+    backend: RenderBackend = MISSING
+    """What draws: the package's rasteriser, gsplat on a GPU, or the slow reference."""
+    sh_degree: int | None = None
+    """Highest degree of the Gaussians' harmonics that is drawn; null draws all."""
+
+
+@dataclass
+class PlacementConf:
+    """The object at t = 0."""
+
+    position: list[float | None] = MISSING
+    """Centre of the object's bounding box [m]; a z of null puts it on the ground."""
+    yaw: float = 0.0
+    """Turn about Z [rad]."""
+    orientation: list[float] = field(default_factory=lambda: [1.0, 0.0, 0.0, 0.0])
+    """Turn before that: quaternion wxyz of any length [-]."""
+    velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    """Of the centre of mass [m/s]."""
+    angular_velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    """About the centre of mass [rad/s]."""
+
+
+@dataclass
+class PlaneConf:
+    """A wall that the object cannot enter; see `hoi.data.Plane`."""
+
+    point: list[float] = MISSING
+    normal: list[float] = MISSING
+    """Into the free side, of any length [-]."""
+    contact: PlaneContact = PlaneContact.coulomb
+    friction: float | None = None
+    """Coulomb coefficient [-]; null takes material.ground_friction."""
+
+
+@dataclass
+class SceneConf:
+    """Who does what to what, and where."""
+
+    name: str = MISSING
+    """Of the folder and the row in tables."""
+    motion_prompt: str = MISSING
+    """p_motion: what the person does."""
+    scene_prompt: str = MISSING
+    """p_scene, for the video prior."""
+    negative_prompt: str = MISSING
+    """What the video prior is guided away from."""
+    frames: int = MISSING
+    """T."""
+    fps: float = MISSING
+    """Frame rate [1/s]."""
+    gravity: list[float] = MISSING
+    """Acceleration [m/s^2]."""
+    ground: bool = True
+    """Whether the half-space z < 0 is solid, with the material's ground_friction."""
+    planes: list[PlaneConf] | None = None
+    """Walls beside the ground."""
+    placement: PlacementConf = field(default_factory=PlacementConf)
+    approach: Approach = Approach.step
+    """The person is placed and turned such that the strike ends at the object, and steps in (step) or stays where they
+    are (stand); none: they start at the origin facing +Y, wherever the object is. It is a part of the attraction:
+    without one, or without a motion prior, the person starts there too."""
+    striking_limb: str | None = None
+    """The limb that j* is chosen from; null takes all joints, as the paper does."""
+    expected_limb: str = MISSING
+    """What a person should see strike; reported against what did."""
+    contact_joint: str = MISSING
+    """j* where no motion shows it (w/o MDM)."""
+    contact_frame: int = MISSING
+    """t* where no motion shows it (w/o MDM)."""

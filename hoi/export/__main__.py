@@ -1,0 +1,176 @@
+"""Takes a finished run to other programs, from its record alone.
+
+    python -m hoi.export RUN.mcap                    # scene.glb, smpl.npz, motion.bvh, trajectories.csv, video.mp4
+    python -m hoi.export RUN.mcap --spz --gif -o DIR
+
+Exit codes: 0 done; 2 bad input; 3 the disk is full or broken; 130 interrupted.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NoReturn
+
+from hoi.errors import InputError, RunError
+from hoi.interrupt import interruptible
+
+CHOICES = {
+    "glb": ("scene.glb", "glTF 2.0: skinned person and moving object, for Blender, three.js, game engines"),
+    "ply": ("ply/", "all Gaussians in INRIA's layout, a file a frame"),
+    "splat": ("splat/", "the same as .splat, 32 bytes a Gaussian"),
+    "spz": ("spz/", "the same as .spz (version 3), the smallest"),
+    "npz": ("smpl.npz", "the motion as SMPL parameters, with AMASS's names"),
+    "bvh": ("motion.bvh", "the motion as BVH: metres, Y up"),
+    "mp4": ("video.mp4", "the recorded video; drawn anew where the record has none"),
+    "gif": ("video.gif", "the same, under 5 MB"),
+    "csv": ("trajectories.csv", "object and joints, a line a frame"),
+    "html": ("scene.html", "the scene in 3D, in one file that needs no server"),
+    "usd": ("scene.usdc", "skinned person and moving object as USD; needs usd-core"),
+}
+USUAL = ("glb", "npz", "bvh", "csv", "mp4")
+"""What is written when nothing is named, as far as the run has it."""
+OF_MOTION, OF_VIDEO = ("npz", "bvh"), ("mp4", "gif")
+"""What a person is needed for, and what a video is enough for."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"export: {message}; --help tells what is allowed\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="python -m hoi.export",
+        description="Takes a finished run to Blender, game engines, splat viewers and spreadsheets.",
+        epilog=f"example: python -m hoi.export runs/kick_soccer_ball/laptop/full/s0/run.mcap --glb --gif. "
+        f"With nothing named: {', '.join('--' + name for name in USUAL)}.",
+    )
+    parser.add_argument("record", type=Path, metavar="RUN.mcap")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="default: the folder export beside the record")
+    for name, (file, what) in CHOICES.items():
+        parser.add_argument(f"--{name}", action="store_true", help=f"{file}: {what}")
+    parser.add_argument(
+        "--axes", choices=("z-up", "y-up", "y-down"), default="z-up", help="of .ply, .splat and .spz (default: z-up)"
+    )
+    return parser
+
+
+def execute(options: argparse.Namespace) -> list[Path]:
+    """Do what the command line says; what was written.
+
+    Raises:
+        InputError: what was given is wrong, or the run lacks what was asked for.
+        RunError: the disk is full or broken.
+    """
+    from hoi import record
+
+    source: Path = options.record
+    run = record.read(source)
+    named = [name for name in CHOICES if getattr(options, name)]
+    wanted = named or [name for name in USUAL if run.state.motion is not None or name not in OF_MOTION]
+    empty = run.scene is None or (run.state.motion is None and run.state.trajectory is None)
+    if empty and not set(wanted) <= set(OF_VIDEO):
+        status = run.result.get("status")
+        raise InputError(f"{source} has neither a motion nor a trajectory to export (status {status})")
+    if run.state.motion is None and (lacking := [name for name in wanted if name in OF_MOTION]):
+        raise InputError(f"{source} has no motion of a person, which --{lacking[0]} needs")
+    folder: Path = options.out or source.with_name("export")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from error
+    shaped = run.state.motion is not None and run.scene is not None and run.scene.body.pose_directions is not None
+    if shaped and {"glb", "usd"} & set(wanted):
+        print("export: the person's pose blend shapes are left out of --glb and --usd", file=sys.stderr)
+    writers = _writers(run, source, options.axes)
+    written = []
+    for name in wanted:
+        path = folder / CHOICES[name][0]
+        try:
+            writers[name](path)
+        except InputError as error:
+            raise InputError(str(error) if str(path) in str(error) else f"{source}: {error}") from None
+        written.append(path)
+    return written
+
+
+def _writers(run, source: Path, axes: str) -> dict[str, Callable[[Path], None]]:
+    """What writes each choice; what it needs is imported when it is called."""
+
+    @cache
+    def video():
+        from hoi.export.pictures import video_of
+
+        return video_of(run, source)
+
+    def glb(path: Path) -> None:
+        from hoi.export.glb import write_glb
+
+        write_glb(run, path)
+
+    def sequence(kind: str) -> Callable[[Path], None]:
+        def write(path: Path) -> None:
+            from hoi.export.clouds import write_sequence
+
+            write_sequence(run, path, kind, axes)
+
+        return write
+
+    def npz(path: Path) -> None:
+        from hoi.export.motions import write_smpl
+
+        write_smpl(run, path)
+
+    def bvh(path: Path) -> None:
+        from hoi.export.motions import write_bvh
+
+        write_bvh(run, path)
+
+    def mp4(path: Path) -> None:
+        from hoi.render.encode import write_mp4
+
+        write_mp4(video(), path)
+
+    def gif(path: Path) -> None:
+        from hoi.export.pictures import write_gif
+
+        write_gif(video(), path)
+
+    def table(path: Path) -> None:
+        from hoi.export.trajectories import write_csv
+
+        write_csv(run, path)
+
+    def html(path: Path) -> None:
+        from hoi.export.page import write_page
+
+        write_page(run, path)
+
+    def usd(path: Path) -> None:
+        from hoi.export.usd import write_usd
+
+        write_usd(run, path)
+
+    kinds = {kind: sequence(kind) for kind in ("ply", "splat", "spz")}
+    return kinds | {
+        "glb": glb, "npz": npz, "bvh": bvh, "mp4": mp4, "gif": gif, "csv": table, "html": html, "usd": usd,
+    }  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point of `python -m hoi.export`; the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        written = execute(options)
+    except (InputError, RunError) as error:
+        print(f"export: {error}", file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 3
+    print(*written, sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    with interruptible():
+        sys.exit(main())

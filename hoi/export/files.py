@@ -1,0 +1,46 @@
+"""Folders written whole or not at all; for files see `hoi.render.encode.whole_file`."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hoi.errors import InputError, RunError
+
+
+@contextmanager
+def whole_folder(path: Path, ours: str) -> Iterator[Path]:
+    """A folder beside `path` to write to, which takes its place when the block ends well and is removed when not.
+
+    Args:
+        ours: pattern of the names that a folder of the same kind has; one that holds anything else is not replaced.
+
+    Raises:
+        InputError: the path cannot be written to, or holds something else.
+        RunError: the disk is full or broken.
+    """
+    part, old = path.with_name(f".{path.name}.part"), path.with_name(f".{path.name}.old")
+    try:
+        if old.exists() and not path.exists():  # another run was killed between the two names
+            old.rename(path)
+        there = [entry.name for entry in path.iterdir()] if path.exists() else []
+        if foreign := [name for name in there if not re.fullmatch(ours, name)]:
+            raise InputError(f"{path} holds {foreign[0]}, which is not of this export; name another folder with -o")
+        for left in (part, old):
+            shutil.rmtree(left, ignore_errors=True)
+        part.mkdir()
+        try:
+            yield part
+            if path.exists():
+                path.rename(old)
+            part.rename(path)
+            shutil.rmtree(old, ignore_errors=True)
+        finally:
+            if old.exists() and not path.exists():
+                old.rename(path)
+            shutil.rmtree(part, ignore_errors=True)
+    except OSError as error:
+        if isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | FileExistsError):
+            raise InputError(f"cannot write {path}: {error.strerror}") from error
+        raise RunError(f"cannot write {path}: {error.strerror}; free some space or write elsewhere") from error
