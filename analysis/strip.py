@@ -70,16 +70,15 @@ def load(path: Path) -> Film:
     """Read what there is to see.
 
     Raises:
-        InputError: as `hoi.record.read`, or the run has neither a motion nor a trajectory.
+        InputError: as `hoi.record.read` and `hoi.render.shown.scene_of`.
     """
     from hoi import record
     from hoi.render.replay import replay
+    from hoi.render.shown import scene_of
 
     run = record.read(path)
     motion, trajectory = run.state.motion, run.state.trajectory
-    if run.scene is None or (motion is None and trajectory is None):
-        raise InputError(f"{path} has neither a motion nor a trajectory to show (status {run.result.get('status')})")
-    gaussians = len(run.scene.object.cloud)
+    gaussians = len(scene_of(run, path).object.cloud)
     return Film(
         run=run,
         replay=replay(run),

@@ -166,11 +166,12 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     parser.add_argument("--mos", type=Path, metavar="CSV", help="opinion scores of ours, from analysis.study score")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
     options = parser.parse_args(arguments)
+    from analysis.study.opinions import read_opinions
     from analysis.writers import write_tables
 
     try:
         runs = collect(options.folder, options.jobs)
-        opinions = _opinions(options.mos)
+        opinions = None if options.mos is None else read_opinions(options.mos)
         files = write_tables(
             options.out or options.folder / "table", runs, summarise(runs, options.by), options.by, opinions
         )
@@ -184,22 +185,6 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     said = ", ".join(f"{counts[status]} {status}" for status in (DONE, FAILED, UNREADABLE))
     say(f"{len(runs)} records ({said}): {', '.join(file.name for file in files)} in {files[0].parent}")
     return 2 if wrong else 0
-
-
-def _opinions(path: Path | None) -> pd.DataFrame | None:
-    """What `analysis.study score` wrote: experiment, variant, Q1 to Q4."""
-    import pandas as pd
-
-    if path is None:
-        return None
-    try:
-        scores = pd.read_csv(path, dtype={"experiment": str, "variant": str})
-    except (OSError, ValueError) as error:
-        raise InputError(f"--mos {path}: cannot be read: {' '.join(str(error).split())}") from error
-    wanted = ["experiment", "variant", "Q1", "Q2", "Q3", "Q4"]
-    if missing := [name for name in wanted if name not in scores]:
-        raise InputError(f"--mos {path}: lacks the column {missing[0]}; must have {', '.join(wanted)}")
-    return scores.loc[:, wanted].set_axis([name.lower() for name in wanted], axis="columns")
 
 
 if __name__ == "__main__":

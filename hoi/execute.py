@@ -45,9 +45,9 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
             facts = provenance(each, of_seed, overrides)
             path = Path(each.out) / RECORD
             records.append(path)
-            if not _already_there(each, path, facts["config_hash"]):
+            if not already_there(each, path, facts["config_hash"]):
                 held.enter_context(alone(path.parent))
-                if not _already_there(each, path, facts["config_hash"]):  # meanwhile
+                if not already_there(each, path, facts["config_hash"]):  # meanwhile
                     path.with_name(FAILED).unlink(missing_ok=True)  # of an earlier try
                     to_do.append((each, path, OmegaConf.to_yaml(of_seed, resolve=True), facts))
                     continue
@@ -81,7 +81,7 @@ def is_finished(composed: DictConfig) -> bool:
     from hoi.provenance import config_hash
 
     each_seed = seeds(composed, to_config(composed))
-    return all(_already_there(each, Path(each.out) / RECORD, config_hash(of_seed)) for each, of_seed in each_seed)
+    return all(already_there(each, Path(each.out) / RECORD, config_hash(of_seed)) for each, of_seed in each_seed)
 
 
 def seeds(composed: DictConfig, config: Config) -> Iterator[tuple[Config, DictConfig]]:
@@ -125,7 +125,12 @@ def record_failure(composed: DictConfig, overrides: list[str], reason: str) -> N
             write(Run(text, facts, result, plan, (), (), None, State()), folder / FAILED, plan_text="")
 
 
-def _already_there(config: Config, path: Path, config_hash: str) -> bool:
+def already_there(config: Config, path: Path, config_hash: str) -> bool:
+    """Whether the record at `path` is that of a finished run of this hash, which is not to be computed again.
+
+    Raises:
+        InputError: it is a run of another config, or no record.
+    """
     if not path.exists() or config.overwrite:
         return False
     from hoi.record import read_metadata

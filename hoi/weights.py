@@ -6,7 +6,8 @@ from pathlib import Path
 from hoi.config import VideoPriorKind, VideoSDSConf
 from hoi.errors import InputError
 
-EMBEDDED_VIDEO_PRIOR = Path(__file__).parent / "video_prior" / "weights" / "video_prior.safetensors"
+VIDEO_PRIOR_NAME = "video_prior.safetensors"
+EMBEDDED_VIDEO_PRIOR = Path(__file__).parent / "video_prior" / "weights" / VIDEO_PRIOR_NAME
 EMBEDDED_PICTURE = 64
 """Edge of the square pictures that the embedded video prior has learned to see [pixel]."""
 COGVIDEOX = "THUDM/CogVideoX-5b"
@@ -23,16 +24,27 @@ def check_video_prior(conf: VideoSDSConf) -> None:
             that runs without them.
     """
     if conf.prior is VideoPriorKind.embedded:
-        file = Path(conf.checkpoint) if conf.checkpoint else EMBEDDED_VIDEO_PRIOR
-        if not file.is_file():
-            remedy = "stage.refine.checkpoint=null takes the one in the package" if conf.checkpoint else WITHOUT
-            raise InputError(f"stage.refine.checkpoint: no embedded video prior at {file}; {remedy}")
+        embedded_video_prior(conf.checkpoint)
         return
     assert conf.checkpoint is not None  # checked by `validate`
     cogvideox_folder(conf.checkpoint)
     for package in ("diffusers", "sentencepiece"):
         if find_spec(package) is None:
             raise InputError(f"stage.refine.prior=cogvideox needs {package}: pip install 'hoi[video]'; {WITHOUT}")
+
+
+def embedded_video_prior(checkpoint: str | Path | None) -> Path:
+    """The weights of an embedded video prior: `checkpoint`, the one in that folder, or, of None, the package's.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    given = EMBEDDED_VIDEO_PRIOR if checkpoint is None else Path(checkpoint)
+    file = given / VIDEO_PRIOR_NAME if given.is_dir() else given
+    if not file.is_file():
+        remedy = WITHOUT if checkpoint is None else "stage.refine.checkpoint=null takes the one in the package"
+        raise InputError(f"stage.refine.checkpoint: no embedded video prior at {file}; {remedy}")
+    return file
 
 
 def cogvideox_folder(checkpoint: str) -> Path:

@@ -6,13 +6,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from hoi import __version__
-from hoi.cli import modules
+from hoi.cli import main, modules
 from hoi.execute import LOCK, alone, let_go, what_next
 
 ROOT = Path(__file__).parents[1]
@@ -74,18 +75,38 @@ def test_a_wrong_command_is_one_line(word, nearest, tmp_path):
     assert line.startswith(f"hoi: no command {word};") and nearest in line
 
 
-@pytest.mark.parametrize("arguments", [["plan_only=true", "scene=punch_jelly"], ["scene=nothing"], ["--cfg", "job"]])
-def test_hoi_run_is_the_module(arguments, tmp_path):
-    ours, theirs = hoi("run", *arguments, cwd=tmp_path), python("-m", "hoi.run", *arguments, cwd=tmp_path)
-    assert (ours.returncode, ours.stdout, ours.stderr) == (theirs.returncode, theirs.stdout, theirs.stderr)
-    assert ours.returncode == (2 if "scene=nothing" in arguments else 0)
+@pytest.mark.parametrize("arguments", [["plan_only=true", "scene=punch_jelly"], [], ["--cfg", "job"], ["--help"]])
+@pytest.mark.parametrize("name", ["run", "view", "import-scene"])
+def test_a_command_is_its_module(name, arguments, monkeypatch):
+    became = []
+    monkeypatch.setattr(os, "execv", lambda *program: became.append(program))
+    monkeypatch.setattr(sys, "argv", ["hoi", name, *arguments])
+    main()
+    assert became == [(sys.executable, [sys.executable, "-m", modules()[name], *arguments])]
+
+
+def test_hoi_run_ends_as_the_module(tmp_path):
+    ours, theirs = hoi("run", "scene=nothing", cwd=tmp_path), python("-m", "hoi.run", "scene=nothing", cwd=tmp_path)
+    assert (ours.returncode, ours.stdout, ours.stderr) == (2, theirs.stdout, theirs.stderr)
+    assert theirs.returncode == 2 and not theirs.stdout
 
 
 def test_other_commands_keep_their_exit_codes(tmp_path):
     (tmp_path / "foreign.mcap").write_text("no record")
-    done = hoi("video", "foreign.mcap", cwd=tmp_path)
+    done = hoi("export", "foreign.mcap", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == "video: foreign.mcap is not an MCAP file\n"
+    assert done.stderr == "export: foreign.mcap is not an MCAP file\n"
+
+
+@pytest.mark.parametrize("name", ["export", "ingest", "layouts", "video", "view"])
+def test_a_wrong_option_is_one_line(name, capsys):
+    command = import_module(modules()[name])
+    if not hasattr(command, "main"):  # a package
+        command = import_module(f"{modules()[name]}.__main__")
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--nonsense"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ended.value.code == 2 and line.startswith(f"{name}: ") and line.endswith("--help tells what is allowed")
 
 
 # --- help -------------------------------------------------------------------------------------------------------------
@@ -122,14 +143,14 @@ def test_help_of_a_run_lists_its_groups(tmp_path):
 # --- completion -------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def script(tmp_path):
-    """A folder with the command `hoi`."""
-    folder = tmp_path / "bin"
-    folder.mkdir()
-    path = folder / "hoi"
-    path.write_text(f'#!/bin/sh\nexec {sys.executable} -m hoi "$@"\n')
-    path.chmod(0o755)
+@pytest.fixture(scope="module")
+def shell(tmp_path_factory):
+    """A folder with the command `hoi`, and `completion`, which a shell evaluates."""
+    folder = tmp_path_factory.mktemp("bin")
+    command = folder / "hoi"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m hoi "$@"\n')
+    command.chmod(0o755)
+    (folder / "completion").write_text(hoi("run", "-sc", "install=bash", cwd=folder).stdout)
     return folder
 
 
@@ -143,16 +164,16 @@ def script(tmp_path):
         ("hoi view ru", set()),
     ],
 )
-def test_completion_in_bash(line, expected, script, tmp_path):
+def test_completion_in_bash(line, expected, shell, tmp_path):
     words = line.split()
     bash = f"""
-eval "$(hoi run -sc install=bash)"
+eval "$(cat {shell}/completion)"
 complete -p hoi > /dev/null || exit 1
 COMP_LINE="{line}" COMP_POINT={len(line)} COMP_CWORD={len(words) - 1}
 hydra_bash_completion
 printf '%s\\n' "${{COMPREPLY[@]}}"
 """
-    path = f"{script}{os.pathsep}{os.environ['PATH']}"
+    path = f"{shell}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "--norc", "-c", bash], capture_output=True, text=True, cwd=tmp_path, env=os.environ | {"PATH": path}
     )
@@ -196,16 +217,22 @@ def test_a_path_with_spaces_can_be_pasted():
 @pytest.mark.slow
 def test_no_library_warns_on_the_screen(done):
     folder, result = done
-    told = [result.stderr]
     commands = [["video", "here/run.mcap", "-o", "side.mp4", "--view", "side"], ["strip", "here/run.mcap"]]
     commands += [["table", "here", "-o", "tables"], ["report", "here", "-o", "page.html", "--jobs", "1"]]
     commands += [["layouts", "foxglove"]]
-    for command in commands:
-        shown = hoi(*command, cwd=folder)
-        assert shown.returncode == 0, shown.stderr
-        told.append(shown.stderr)
-    for text in told:
+    # In one process, which imports the libraries once.
+    code = """
+import runpy, sys
+for module, *arguments in eval(sys.argv[1]):
+    sys.argv = [module, *arguments]
+    try: runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as end: assert not end.code, (module, end.code)
+"""
+    shown = python("-c", code, repr([[modules()[name], *rest] for name, *rest in commands]), cwd=folder)
+    assert shown.returncode == 0, shown.stderr
+    for text in (result.stderr, shown.stderr):
         assert "warn" not in text.lower() and "deprecat" not in text.lower(), text
+    assert {"side.mp4", "tables", "page.html", "hoi.foxglove.json"} <= {path.name for path in folder.iterdir()}
 
 
 # --- locks ------------------------------------------------------------------------------------------------------------

@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from hoi.config import CONF, SCHEMAS
+from hoi.config import CONF, SCHEMAS, register
+from hoi.execute import execute
 from hoi.record import write
 from hoi.record.schemas import ATTACHMENTS, JSON_SCHEMAS, PROTOBUF_SCHEMAS
 from tests.conftest import ROOT
@@ -60,13 +62,13 @@ def commands_of(page: Path) -> Iterator[str]:
     for language, block in blocks:
         if language in ("", "sh", "bash", "shell", "console"):
             for line in block.replace("\\\n", " ").splitlines():
-                if line.strip() and not line.lstrip().startswith("#"):
-                    yield line.strip()
+                if words := shlex.split(line, comments=True):
+                    yield shlex.join(words)
     prose = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
     for span in re.findall(r"`([^`]+)`", prose):
         span = " ".join(span.split())
         if re.match(r"(python -m [\w.]+|hoi [a-z-]+|make [a-z]+|pip install)\b", span):
-            yield span
+            yield shlex.join(shlex.split(span))
 
 
 COMMANDS = sorted({command for page in PAGES for command in commands_of(page)})
@@ -117,7 +119,10 @@ def check_module(module: str, arguments: list[str], folder: Path) -> None:
     else:
         if "--multirun" in arguments:  # the first run of it
             arguments = [word.partition(",")[0] for word in arguments if word != "--multirun"]
-        called(module, *(stand_in(word, folder) for word in arguments), "plan_only=true", f"out={folder}/out")
+        overrides = [*(stand_in(word, folder) for word in arguments), "plan_only=true", f"out={folder}/out"]
+        register()
+        with initialize_config_dir(str(CONF), version_base="1.3"):  # `python -m hoi.run` composes twice
+            execute(compose("config", overrides), overrides)
 
 
 def stand_in(argument: str, folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""The examples that docs/extending.md shows are these very files, and they work."""
+"""The examples that the docs show are these very files, and they work."""
 
 import os
 import shutil
@@ -32,6 +32,13 @@ def example(name: str):
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def test_every_example_is_shown():
+    pages = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
+    files = [file.relative_to(ROOT) for file in EXAMPLES.rglob("*.*") if "__pycache__" not in file.parts]
+    assert len(files) >= 6
+    assert not [str(file) for file in files if f'\n--8<-- "{file}"\n' not in pages]
 
 
 def test_a_material_an_object_and_a_scene_need_files_alone():

@@ -104,7 +104,7 @@ def test_the_layout_is_written(tmp_path, capsys):
     assert json.loads((tmp_path / "layout.json").read_text()) == foxglove.layout()
     assert main(["foxglove", "-o", str(tmp_path / "no" / "layout.json")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "cannot be written" in line
+    assert "cannot write" in line
 
 
 # --- Rerun ------------------------------------------------------------------------------------------------------------

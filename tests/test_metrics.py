@@ -21,7 +21,7 @@ from analysis.motion import measures
 from analysis.posing import local_rotations
 from analysis.records import Record
 from hoi.body.skeleton import JOINT_NAMES
-from hoi.data import Check, Run, StageReport
+from hoi.data import Run, StageReport
 from hoi.motion import features as torch_features
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.text import default_cache, minilm
@@ -336,8 +336,9 @@ def test_a_shape_that_only_moves_is_made_once(demo):
     moved = shape.distance(thing.particles @ turn.T + offset, points @ turn.T + offset)
     assert shape._surface is surface
     np.testing.assert_allclose(moved, first, atol=1e-5)
-    shape.distance(thing.particles * (1, 1, 0.8), points)
-    assert shape._surface is not surface
+    flat = thing.particles * (1, 1, 0.8)
+    np.testing.assert_allclose(shape.distance(flat, points), Shape(thing).distance(flat, points), atol=2e-3)
+    assert shape._surface is surface and np.abs(shape.distance(flat, points) - first).max() > 5e-3
 
 
 def test_a_fast_limb_is_seen_between_frames(demo):
@@ -440,15 +441,16 @@ def test_other_prompts_come_from_the_cache_or_the_encoder(tmp_path, monkeypatch)
 
 
 def test_cost(long):
-    reports = (StageReport("free motion", 2.0, numbers={"steps": 100.0}), StageReport("motion", 3.0))
-    reports = (*reports, StageReport("resimulate", 4.0, numbers={"steps": 50.0}))
-    plan = replace(long.plan, checks=(Check("steps", "240", ""),))
+    reports = (StageReport("free motion", 2.0, numbers={"steps_left_out": 200.0}), StageReport("motion", 3.0))
+    reports = (*reports, StageReport("resimulate", 4.0, numbers={"steps": 50.0, "steps_left_out": 150.0}))
     result = long.result | {"peak_memory_mb": "512.5"}
-    made = record(replace(long, reports=reports, plan=plan, result=result))
+    made = record(replace(long, reports=reports, result=result))
     assert metrics.seconds(made) == 1.25 and metrics.peak_memory(made) == 512.5
     assert METRICS["seconds_motion"].function(made) == 3.0
     assert np.isnan(METRICS["seconds_refine"].function(made))
-    assert metrics.left_out(made) == pytest.approx(1 - 150 / (240 * (2 - 8.5 / 24)))
+    assert metrics.left_out(made) == 350 / 400
+    assert metrics.left_out(record(replace(made.run, reports=reports[:1]))) == 1  # never simulated
+    assert np.isnan(metrics.left_out(record(replace(made.run, reports=reports[1:2]))))  # without the MPM
 
 
 @pytest.mark.parametrize("lacks", ["scene", "motion", "trajectory", "contact", "target"])

@@ -6,7 +6,7 @@ from hoi.config import VideoSDSConf
 from hoi.errors import InputError
 from hoi.plan import make_plan
 from hoi.validate import to_config
-from hoi.weights import COGVIDEOX_PARTS
+from hoi.weights import COGVIDEOX_PARTS, VIDEO_PRIOR_NAME
 
 
 @pytest.fixture
@@ -85,6 +85,14 @@ def test_missing_weights_are_named(plan, monkeypatch, overrides, words):
         plan(*overrides)
     line = str(caught.value)
     assert "\n" not in line and all(word in line for word in words), line
+
+
+def test_the_folder_of_a_training_is_an_embedded_prior(plan, tmp_path):
+    with pytest.raises(InputError, match=r"no embedded video prior at .*/video_prior\.safetensors"):
+        plan(f"stage.refine.checkpoint={tmp_path}")
+    (tmp_path / VIDEO_PRIOR_NAME).touch()
+    for given in (tmp_path, tmp_path / VIDEO_PRIOR_NAME):
+        assert plan(f"stage.refine.checkpoint={given}").keeps("refine")
 
 
 def test_half_a_cogvideox_is_none(plan, tmp_path, monkeypatch):

@@ -100,7 +100,8 @@ def test_the_prior_in_the_package_takes_a_foot_out_of_a_ball(composed) -> None:
     assert refined.body_pose[outside].tobytes() == state.motion.body_pose[outside].tobytes()
 
 
-def test_the_least_deep_motion_is_kept_where_none_is_out(composed, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_motion_nearest_to_touch_is_kept(composed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limb that is out, but farther off than it was deep, is no better."""
     scene, state = struck(depth=0.03)
 
     def shifted(by: float) -> Motion:
@@ -116,9 +117,19 @@ def test_the_least_deep_motion_is_kept_where_none_is_out(composed, monkeypatch: 
     stages, config = Stages(), to_config(composed("scene=kick_soccer_ball"))
     with stages.stage("refine", 1) as stage:
         assert refine(scene, state, config, "cpu", stage) is tried[1]
-        assert "the best is kept" in stage.notes[-1]
+        assert "the nearest to it is kept" in stage.notes[-1]
         tried[1] = shifted(0.02)
         tried[2] = shifted(0.01)
+        assert refine(scene, state, config, "cpu", stage) is state.motion
+
+        def leaving(*given) -> Motion:
+            assert not given[-1](near) and given[-1](far)
+            return far
+
+        monkeypatch.setattr("hoi.refine.sds.video_sds", leaving)
+        near, far = shifted(-0.012), shifted(-0.1)
+        assert refine(scene, state, config, "cpu", stage) is near
+        near = shifted(0.01)
         assert refine(scene, state, config, "cpu", stage) is state.motion
     numbers = stages.reports[0].numbers
     assert numbers["penetration_after"] == numbers["penetration_before"] > 0.02

@@ -14,7 +14,8 @@ from av.video.frame import PictureType
 from PIL import Image
 
 from hoi.errors import InputError
-from hoi.render.encode import check_size, encode, is_key_frame, whole_file, write_mp4, write_png
+from hoi.files import whole_file
+from hoi.render.encode import check_size, encode, is_key_frame, write_mp4, write_png
 
 WIDTH, HEIGHT, FPS = 96, 64, 20.0
 START = b"\0\0\0\1"

@@ -158,7 +158,7 @@ def test_refusals(run: Run) -> None:
     with pytest.raises(InputError, match="neither"):
         replay(replace(run, scene=None))
     longer = make_run(frames=9)[0].state.trajectory
-    with pytest.raises(InputError, match="8 frames, its trajectory 9"):
+    with pytest.raises(InputError, match="8 frames of motion, 9 of the trajectory"):
         replay(replace(run, state=replace(run.state, trajectory=longer)))
     for frame in (-1, 8):
         with pytest.raises(IndexError, match="0 to 7"):

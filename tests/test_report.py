@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -14,12 +13,11 @@ from pathlib import Path
 
 import av
 import numpy as np
-import pandas as pd
 import pytest
 from PIL import Image
 
 from analysis.report.__main__ import main
-from analysis.report.extras import read_extra, read_opinions, to_html
+from analysis.report.extras import read_extra, to_html
 from analysis.report.media import choose, film
 from analysis.report.page import clean
 from analysis.report.shown import OTHER, Part, parts_of
@@ -28,11 +26,10 @@ from hoi.data import Omission, Plan, Run, State, Step
 from hoi.errors import InputError
 from hoi.render.cameras import look_at
 from hoi.render.encode import encode, write_mp4, write_png
+from tests.browser import chromium, until
 from tests.demo_run import make_run
 
 ROOT = Path(__file__).parents[1]
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-DRIVER = shutil.which("chromedriver")
 FRAMES = 10
 EVIL = "</details></script><script>document.title='owned'</script><img src=x onerror=\"document.title='owned'\">{{7*7}}"
 QUIET = {"say": lambda line: None}
@@ -277,32 +274,14 @@ def test_texts_are_bounded_and_visible():
     assert "<script>" not in to_html("<script>x</script>") and "<td>1</td>" in to_html("|a|\n|-|\n|1|")
 
 
-def test_extras_and_opinions(tmp_path):
+def test_what_no_command_has_left_is_empty(tmp_path):
     assert read_extra("a", "A", "make a", None) == read_extra("a", "A", "make a", tmp_path / "no")
-    (tmp_path / "study.csv").write_text("experiment,variant,Q1,Q2,Q3,Q4\n,4D-fy,1,2,3,4\ndemo,full,5,5,,5\n")
-    scores = read_opinions(tmp_path)
-    assert list(scores) == ["experiment", "variant", "q1", "q2", "q3", "q4"]
-    assert scores["experiment"].tolist() == ["", "demo"] and pd.isna(scores["q3"][1])
-    (tmp_path / "study.csv").write_text("experiment,variant,Q1,Q2,Q3,Q4\na,b,1,2,3,4\na,b,1,2,3,4\n")
-    with pytest.raises(InputError, match="a variant twice"):
-        read_opinions(tmp_path)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator:
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (pip install selenium)")
-    if not (BROWSER and DRIVER):
-        pytest.skip("needs chromium and chromedriver (Debian: chromium, chromium-driver)")
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    flags = "headless=new no-sandbox disable-gpu disable-dev-shm-usage disable-extensions disable-component-update"
-    for flag in (*flags.split(), "disable-background-networking", "no-first-run", "window-size=1280,900"):
-        options.add_argument(f"--{flag}")
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # offline
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    opened = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield opened
-    opened.quit()
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture
@@ -312,13 +291,6 @@ def opened(browser, page) -> Iterator:
     browser.get(page.as_uri())
     yield browser
     assert browser.get_log("browser") == []
-
-
-def until(found) -> None:
-    end = time.monotonic() + 60
-    while not found():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
 
 
 def test_tables_sort(opened):

@@ -13,6 +13,7 @@ from analysis.study.__main__ import main
 from analysis.study.agreement import alpha
 from analysis.study.answers import Key, read_answers, read_key
 from analysis.study.make import find_clips, make
+from analysis.study.opinions import read_opinions
 from analysis.study.questions import COLUMNS
 from analysis.study.score import interval, opinion_scores, rater_agreement, to_markdown
 from hoi.data import Plan, Run, State
@@ -328,9 +329,26 @@ def test_score_writes_the_same_bytes_and_no_formula(tmp_path, capsys):
     table = pd.read_csv(tmp_path / "one" / "study.csv")
     assert list(table["variant"]) == ["full", "no_mpm", '\'=1+1|<b>"x"']
     assert table.loc[0, "Q1"] == 4.5
+    opinions = read_opinions(tmp_path / "one" / "study.csv")
+    assert opinions["variant"].tolist() == table["variant"].tolist() and opinions["q1"][0] == 4.5
     markdown = (tmp_path / "one" / "study.md").read_text()
     assert "| 4.50 [1.00, 5.00] |" in markdown and "=1+1\\|&lt;b&gt;" in markdown and "Student's t" in markdown
     assert capsys.readouterr().out == markdown * 2
+
+
+def test_opinions_for_the_tables(tmp_path):
+    file = tmp_path / "study.csv"
+    file.write_text("experiment,variant,Q1,Q2,Q3,Q4,Q1_low\n,4D-fy,1,2,3,4,1\ndemo,full,5,5,,5,4\n")
+    scores = read_opinions(file)
+    assert list(scores) == ["experiment", "variant", "q1", "q2", "q3", "q4"]
+    assert scores["experiment"].tolist() == ["", "demo"] and pd.isna(scores["q3"][1])
+    for text, said in (
+        ("a,b,1,2,3,4\na,b,1,2,3,4\n", "a variant twice"),
+        ("a,b,much,2,3,4\n", "cannot be read"),
+    ):
+        file.write_text(f"experiment,variant,Q1,Q2,Q3,Q4\n{text}")
+        with pytest.raises(InputError, match=f"study.csv .*{said}"):
+            read_opinions(file)
 
 
 def test_score_refuses_by_file_and_row(tmp_path, capsys):

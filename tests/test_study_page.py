@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,16 +10,9 @@ import pytest
 from analysis.study.answers import read_answers, read_key
 from analysis.study.make import Study, find_clips, make
 from analysis.study.questions import QUESTIONS
+from tests.browser import chromium, until
 from tests.test_study import record
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (pip install selenium)")
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    not (BROWSER and DRIVER), reason="needs chromium and chromedriver (Debian: chromium, chromium-driver)"
-)
-WAIT = 60.0
-"""Seconds that a busy machine may take."""
 RATE_ALL = """
 const seen = [];
 while (document.getElementById("done").hidden) {
@@ -47,17 +39,8 @@ def downloads(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def opened(downloads) -> Iterator:
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    flags = "headless=new no-sandbox disable-gpu disable-dev-shm-usage disable-extensions disable-component-update"
-    for flag in (*flags.split(), "disable-background-networking", "no-first-run", "window-size=1280,900"):
-        options.add_argument(f"--{flag}")
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # offline
-    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield browser
-    browser.quit()
+    with chromium(downloads=downloads) as browser:
+        yield browser
 
 
 @pytest.fixture
@@ -87,14 +70,6 @@ def press(page, keys: str) -> None:
 
 def count(page) -> str:
     return element(page, "count").text
-
-
-def until(found) -> object:
-    end = time.monotonic() + WAIT
-    while not (value := found()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
-    return value
 
 
 def saved(page, downloads: Path, name: str, button: str) -> Path:

@@ -169,7 +169,7 @@ def test_opinion_scores_of_ours(runs, tmp_path, capsys):
     file.write_text("variant,Q1\nfull,4\n")
     capsys.readouterr()
     assert main([str(runs), "--mos", str(file)]) == 2
-    assert capsys.readouterr().err == f"analysis.table: --mos {file}: lacks the column experiment; must have " + (
+    assert capsys.readouterr().err == f"analysis.table: {file} lacks the column experiment; must have " + (
         "experiment, variant, Q1, Q2, Q3, Q4\n"
     )
 

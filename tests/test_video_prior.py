@@ -22,7 +22,6 @@ from hoi.video_prior.denoiser import Architecture, VideoDenoiser, alphas_cumprod
 from hoi.video_prior.embedded import (
     CLIP_FRAMES,
     SIZE,
-    WEIGHTS_NAME,
     Description,
     EmbeddedPrior,
     load_embedded,
@@ -30,6 +29,7 @@ from hoi.video_prior.embedded import (
     to_latents,
     to_pixels,
 )
+from hoi.weights import VIDEO_PRIOR_NAME
 
 TINY = Architecture(channels=(16, 16), embedding=16, heads=2, text_dim=8)
 
@@ -262,7 +262,7 @@ def test_a_window_of_more_frames_than_the_clip_is_refused() -> None:
 def test_prior_survives_the_disk(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("hoi.video_prior.embedded.minilm", lambda cache: fake_encoder())
     denoiser, text = random_denoiser(), (torch.full((8,), 0.5), torch.full((8,), 0.25))
-    file = tmp_path / WEIGHTS_NAME
+    file = tmp_path / VIDEO_PRIOR_NAME
     save_embedded(file, denoiser.state_dict(), text, Description(TINY, 7, MINILM_SHA256))
     prior = load_embedded(tmp_path)
     assert "7 training steps" in prior.name
@@ -283,8 +283,9 @@ def test_prior_survives_the_disk(tmp_path, monkeypatch) -> None:
     save_embedded(file, denoiser.state_dict(), text, Description(TINY, 7, "0" * 64))
     with pytest.raises(InputError, match="text encoder"):
         load_embedded(file)
-    with pytest.raises(InputError, match="does not exist"):
-        load_embedded(tmp_path / "none.safetensors")
+    for none in (tmp_path / "none.safetensors", tmp_path.parent):
+        with pytest.raises(InputError, match="no embedded video prior at"):
+            load_embedded(none)
 
 
 # --- training ---------------------------------------------------------------------------------------------------------

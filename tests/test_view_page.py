@@ -5,7 +5,6 @@ import gzip
 import io
 import json
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,10 +22,9 @@ from hoi.export.page import STEP, page, part_of, write_page
 from hoi.render.cameras import FOV_Y, Camera, look_at, project
 from hoi.render.replay import replay
 from hoi.render.splats import Splats
+from tests.browser import WEBGL, chromium, until
 from tests.demo_run import SHIRT, make_run
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-DRIVER = shutil.which("chromedriver")
 FRAMES, WIDTH, HEIGHT = 8, 720, 480
 EVIL = "</script><script>document.title='owned'</script><img src=x onerror=\"document.title='owned'\">{{DATA}}"
 WALL = Plane(np.array([0.0, 4.0, 0.0]), np.array([0.0, -1.0, 0.0]))
@@ -122,31 +120,10 @@ def test_nothing_to_show(demo, tmp_path):
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator:
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (pip install selenium)")
-    if not (BROWSER and DRIVER):
-        pytest.skip("needs chromium and chromedriver (Debian: chromium, chromium-driver)")
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    flags = "headless=new no-sandbox use-gl=angle use-angle=swiftshader enable-unsafe-swiftshader disable-extensions"
-    flags += " disable-dev-shm-usage disable-component-update disable-background-networking no-first-run"
-    for flag in (*flags.split(), f"window-size={WIDTH},{HEIGHT}"):
-        options.add_argument(f"--{flag}")
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE localhost")  # offline
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    opened = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    opened.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False},
-    )
-    yield opened
-    opened.quit()
-
-
-def until(found, what: str) -> None:
-    end = time.monotonic() + 60
-    while not found():
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.05)
+    with chromium(WIDTH, HEIGHT, WEBGL) as opened:
+        screen = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
+        opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+        yield opened
 
 
 def picture(browser) -> np.ndarray:

@@ -17,11 +17,11 @@ from analysis.baseline.replay import replayed
 from hoi.config import CONF, Ablation, Config, ImpulseConf, VideoConf, register
 from hoi.data import Plan, Run, Step
 from hoi.errors import InputError, RunError
+from hoi.execute import RECORD, already_there
 from hoi.motion.text import default_cache, minilm
 from hoi.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
 from hoi.progress import Stages
 from hoi.provenance import provenance
-from hoi.record import read_metadata
 from hoi.run import one_line
 from hoi.scene import build_scene
 from hoi.validate import to_config
@@ -52,12 +52,10 @@ def execute(composed: DictConfig, overrides: list[str], folder: Path | None) -> 
     clip, caption, likeness = nearest(config.scene.motion_prompt, clips, minilm(default_cache()))
     facts = provenance(config, composed, overrides) | {"ablation": "", "clip": clip.name, "clip_caption": caption}
     facts["config_hash"] = hashlib.sha256("\n".join([facts["config_hash"], VARIANT, clip.name]).encode()).hexdigest()
-    path = Path(config.out) / "run.mcap"
-    if path.exists() and not config.overwrite:
-        if read_metadata(path)["config_hash"] == facts["config_hash"]:
-            print(f"{path}: already computed with this config (overwrite=true computes it again)")
-            return path
-        raise InputError(f"{path} holds a run of another config; choose another out=DIR or say overwrite=true")
+    path = Path(config.out) / RECORD
+    if already_there(config, path, facts["config_hash"]):
+        print(f"{path}: already computed with this config (overwrite=true computes it again)")
+        return path
     path.parent.mkdir(parents=True, exist_ok=True)
 
     torch.set_num_threads(config.threads or torch.get_num_threads())

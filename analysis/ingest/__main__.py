@@ -3,20 +3,15 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import NoReturn
 
 from analysis.ingest import meshes
+from hoi.arguments import Parser
 from hoi.errors import InputError, RunError
 from hoi.interrupt import interruptible
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"ingest: {message}; --help tells what is allowed\n")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m analysis.ingest",
         description="One output of another system, a video or meshes or both, becomes a record to compare with.",
         epilog="example: python -m analysis.ingest --scene kick_soccer_ball --system Other --video other.mp4",

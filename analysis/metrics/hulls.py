@@ -30,6 +30,10 @@ class Hull:
         inside[rows] = np.all(points[rows] @ self.planes[:, :3].T + self.planes[:, 3] <= 0, axis=1)
         return inside
 
+    def corners(self) -> Array:
+        """Of its box [m], (8, 3)."""
+        return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True), indexing="ij"), -1).reshape(-1, 3)
+
     def lattice(self, spacing: float) -> Array:
         """Points inside, a cube of edge `spacing` each [m], (M, 3)."""
         axes = [np.arange(low + spacing / 2, high, spacing) for low, high in zip(self.low, self.high, strict=True)]

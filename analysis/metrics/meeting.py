@@ -99,7 +99,7 @@ def meeting(record: Record) -> Meeting | None:
 
 
 class Shape:
-    """The object's surface, worked out anew only when the object is not the one it was, moved as one piece."""
+    """The object's surface: as it first was while the object only moves as one piece, else as it is near the points."""
 
     def __init__(self, thing: SceneObject) -> None:
         self._thing = thing
@@ -108,15 +108,17 @@ class Shape:
 
     def distance(self, particles: Array, points: Array) -> Array:
         """Signed distances [m], positive outside, (M,), of points (M, 3) from the object with particles at (P, 3)."""
-        gaussians, size = len(self._thing.cloud), self._thing.size
-        if self._from is not None and self._surface is not None:
-            rotation, offset = rigid_motion(self._from, particles)
-            moved = self._from @ rotation.T + offset
-            if np.abs(moved - particles).max() <= RIGID * size:
-                return self._surface.distance((points - offset) @ rotation)[0]
-        whole = particles.min(axis=0), particles.max(axis=0)
-        self._from, self._surface = particles, surface_of(particles, gaussians, self._thing.volumes, size, whole)
-        return self._surface.distance(points)[0]
+        if self._from is None or self._surface is None:
+            self._from, self._surface = particles, self._surface_of(particles, particles)
+        rotation, offset = rigid_motion(self._from, particles)
+        moved = self._from @ rotation.T + offset
+        if np.abs(moved - particles).max() <= RIGID * self._thing.size:
+            return self._surface.distance((points - offset) @ rotation)[0]
+        return self._surface_of(particles, points).distance(points)[0]
+
+    def _surface_of(self, particles: Array, near: Array) -> Surface:
+        box = near.min(axis=0), near.max(axis=0)
+        return surface_of(particles, len(self._thing.cloud), self._thing.volumes, self._thing.size, box)
 
 
 def rigid_motion(first: Array, second: Array) -> tuple[Array, Array]:

@@ -38,9 +38,11 @@ def person_object_volume(record: Record) -> float:
         particles = object_at(trajectory, push, run.scene.fps, float(frame))
         inside = np.zeros(len(particles), bool)
         for hull in hulls:  # between frames the blend of two poses, as the skin is
-            back = np.linalg.inv(interpolate(rotations[:, hull.joint], frame))
-            local = (particles - interpolate(positions[:, hull.joint], frame)) @ back.T
-            inside |= hull.contains(local + run.scene.body.rest_joints[hull.joint])
+            turn, place = interpolate(rotations[:, hull.joint], frame), interpolate(positions[:, hull.joint], frame)
+            rest = run.scene.body.rest_joints[hull.joint]
+            corners = (hull.corners() - rest) @ turn.T + place
+            near = np.all((particles >= corners.min(axis=0)) & (particles <= corners.max(axis=0)), axis=1)
+            inside[near] |= hull.contains((particles[near] - place) @ np.linalg.inv(turn).T + rest)
         total += span * float(run.scene.object.volumes[inside].sum())
     return total / min(len(trajectory.positions), len(run.state.motion)) / LITRE
 

@@ -3,16 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
 from markdown_it import MarkdownIt
 from markupsafe import Markup
-
-from hoi.errors import InputError
 
 MOST_BYTES = 20_000_000
 """A larger file is named and left out."""
 PNG = b"\x89PNG\r\n\x1a\n"
-QUESTIONS = ("Q1", "Q2", "Q3", "Q4")
 
 
 @dataclass(frozen=True)
@@ -52,26 +48,3 @@ def to_html(markdown: str) -> Markup:
     """Headings, paragraphs, lists and tables; HTML in it stays text, pictures and links are left out."""
     reader = MarkdownIt("commonmark", {"html": False}).enable("table").disable(["image", "link", "autolink"])
     return Markup(reader.render(markdown))  # escaped by the reader
-
-
-def read_opinions(folder: Path) -> pd.DataFrame:
-    """Opinion scores of ours as the tables take them, from what `analysis.study score -o FOLDER` wrote.
-
-    Raises:
-        InputError: there are none, or they are malformed.
-    """
-    file = folder / "study.csv"
-    try:
-        scores = pd.read_csv(file, dtype={"experiment": str, "variant": str, **dict.fromkeys(QUESTIONS, float)})
-    except (OSError, ValueError) as error:
-        raise InputError(f"--study {folder}: study.csv cannot be read: {' '.join(str(error).split())[:200]}") from error
-    wanted = ["experiment", "variant", *QUESTIONS]
-    if missing := [name for name in wanted if name not in scores]:
-        raise InputError(f"--study {folder}: study.csv lacks the column {missing[0]}")
-    if scores.duplicated(["experiment", "variant"]).any():
-        raise InputError(f"--study {folder}: study.csv has a variant twice")
-    return (
-        scores.loc[:, wanted]
-        .fillna({"experiment": "", "variant": ""})
-        .set_axis([name.lower() for name in wanted], axis="columns")
-    )

@@ -4,12 +4,13 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from analysis.report.extras import read_extra, read_opinions
+from analysis.report.extras import read_extra
 from analysis.report.page import build
 from analysis.report.shown import Shown, look
+from analysis.study.opinions import read_opinions
 from analysis.table import TOGETHER, UNREADABLE, collect
 from hoi.errors import InputError
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
 
 
 def make(
@@ -31,7 +32,7 @@ def make(
     if limit < 0:
         raise InputError(f"--limit-mb {limit}: 0 or more is allowed")
     runs = collect(folder, jobs)
-    opinions = None if study is None else read_opinions(study)
+    opinions = None if study is None else read_opinions(study / "study.csv")
     rows = runs.to_dict("records")
     looks = partial(_look, folder)
     if jobs > 1 and len(rows) >= TOGETHER:

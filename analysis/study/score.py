@@ -14,7 +14,7 @@ from analysis.study.questions import QUESTIONS, SCALE
 from hoi.choices import Ablation
 from hoi.data import Array
 from hoi.errors import InputError
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
 
 CONFIDENCE = 0.95
 METHOD = (

@@ -8,7 +8,8 @@ from av.container import InputContainer
 from av.error import FFmpegError
 
 from hoi.errors import InputError
-from hoi.render.encode import Pixels, encode, whole_file, write_mp4
+from hoi.files import whole_file
+from hoi.render.encode import Pixels, encode, write_mp4
 
 LONGEST = 120.0
 """Seconds a clip of a study may last."""

@@ -211,7 +211,7 @@ class VideoSDSConf(WindowConf):
     prior: VideoPriorKind = MISSING
     """The one in the package, or CogVideoX-5B."""
     checkpoint: str | None = None
-    """Folder or hub name of the video prior; null for the one in the package (prior=embedded)."""
+    """Of CogVideoX a folder or hub name; of an embedded prior a file or folder, null for the one in the package."""
     learning_rate: float = MISSING
     """Of Adam on theta [-]."""
     guidance: float = MISSING

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NoReturn
 
+from hoi.arguments import Parser
 from hoi.errors import InputError, RunError
 from hoi.interrupt import interruptible
 
@@ -35,13 +35,8 @@ OF_MOTION, OF_VIDEO = ("npz", "bvh"), ("mp4", "gif")
 """What a person is needed for, and what a video is enough for."""
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"export: {message}; --help tells what is allowed\n")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m hoi.export",
         description="Takes a finished run to Blender, game engines, splat viewers and spreadsheets.",
         epilog=f"example: python -m hoi.export runs/kick_soccer_ball/laptop/full/s0/run.mcap --glb --gif. "
@@ -65,15 +60,14 @@ def execute(options: argparse.Namespace) -> list[Path]:
         RunError: the disk is full or broken.
     """
     from hoi import record
+    from hoi.render.shown import scene_of
 
     source: Path = options.record
     run = record.read(source)
     named = [name for name in CHOICES if getattr(options, name)]
     wanted = named or [name for name in USUAL if run.state.motion is not None or name not in OF_MOTION]
-    empty = run.scene is None or (run.state.motion is None and run.state.trajectory is None)
-    if empty and not set(wanted) <= set(OF_VIDEO):
-        status = run.result.get("status")
-        raise InputError(f"{source} has neither a motion nor a trajectory to export (status {status})")
+    if not set(wanted) <= set(OF_VIDEO):
+        scene_of(run, source)
     if run.state.motion is None and (lacking := [name for name in wanted if name in OF_MOTION]):
         raise InputError(f"{source} has no motion of a person, which --{lacking[0]} needs")
     folder: Path = options.out or source.with_name("export")
@@ -91,7 +85,8 @@ def execute(options: argparse.Namespace) -> list[Path]:
         try:
             writers[name](path)
         except InputError as error:
-            raise InputError(str(error) if str(path) in str(error) else f"{source}: {error}") from None
+            told = any(str(file) in str(error) for file in (path, source))
+            raise InputError(str(error) if told else f"{source}: {error}") from None
         written.append(path)
     return written
 

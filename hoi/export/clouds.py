@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from hoi import gaussians
 from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
 from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject
-from hoi.errors import InputError
 from hoi.export.axes import AXES
-from hoi.export.files import whole_folder
-from hoi.render.encode import whole_file
+from hoi.files import whole_file, whole_folder
+from hoi.render.shown import scene_of
 
 FRAME = "frame_{:04d}"
 SPZ_MAGIC, SPZ_VERSION = 0x5053474E, 3
@@ -85,7 +84,7 @@ def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> Non
         axes: of `hoi.export.axes.AXES`.
 
     Raises:
-        InputError: the run shows nothing, or the folder cannot be written to or holds something else.
+        InputError: as `clouds`, or the folder cannot be written to or holds something else.
         RunError: the disk is full or broken.
     """
     with whole_folder(folder, rf"frame_\d+\.{kind}") as part:
@@ -98,17 +97,13 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
     """Person and object, whichever the run has, in the world, frame by frame.
 
     Raises:
-        InputError: the run shows nothing, or its parts differ in length.
+        InputError: as `hoi.render.shown.scene_of`.
     """
-    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
-    if scene is None or (motion is None and trajectory is None):
-        raise InputError("the run has neither a motion nor a trajectory")
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     parts = []
     if motion is not None:
         parts.append(_person(scene.body, motion))
     if trajectory is not None:
-        if motion is not None and len(motion) != len(trajectory.positions):
-            raise InputError(f"the motion has {len(motion)} frames, the trajectory {len(trajectory.positions)}")
         parts.append(_thing(scene.object, trajectory))
     for clouds_now in zip(*parts, strict=True):
         yield join(clouds_now)

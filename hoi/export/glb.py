@@ -14,12 +14,12 @@ from hoi.body.kinematics import local_rotations
 from hoi.body.people import vertex_normals
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Run, SceneObject
-from hoi.errors import InputError
 from hoi.export.axes import Y_UP, linear
 from hoi.export.gltf import INDICES, POINTS, TRIANGLES, VERTICES, Document
 from hoi.export.person import skinned_mesh
 from hoi.export.surface import Faces
 from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw
+from hoi.render.shown import scene_of
 
 _FACTS = ("config_hash", "seed", "scene", "started")
 
@@ -28,12 +28,10 @@ def write_glb(run: Run, path: Path) -> None:
     """Write what the run shows as a .glb.
 
     Raises:
-        InputError: the run shows nothing, or the path cannot be written to.
+        InputError: as `hoi.render.shown.scene_of`, or the path cannot be written to.
         RunError: the disk is full or broken.
     """
-    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
-    if scene is None or (motion is None and trajectory is None):
-        raise InputError("the run has neither a motion nor a trajectory")
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     document = Document(copyright=f"person: {scene.body.source}" if scene.body.source else "see the record")
     frames = len(motion) if motion is not None else len(trajectory.positions) if trajectory is not None else 0
     times = document.array(np.arange(frames) / scene.fps, bounds=True)
@@ -42,8 +40,6 @@ def write_glb(run: Run, path: Path) -> None:
     if motion is not None:
         roots += _person(document, animation, scene.body, motion)
     if trajectory is not None:
-        if len(trajectory.positions) != frames:
-            raise InputError(f"the motion has {frames} frames, the trajectory {len(trajectory.positions)}")
         roots.append(_thing(document, animation, scene.object, trajectory))
     document.add("animations", name=scene.name, channels=animation.channels, samplers=animation.samplers)
     facts = {name: run.provenance[name] for name in _FACTS if name in run.provenance}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hoi
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
 
 VERTICES, INDICES = 34962, 34963
 POINTS, TRIANGLES = 0, 4

@@ -12,7 +12,7 @@ from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Run
 from hoi.errors import InputError
 from hoi.export.axes import Y_UP
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
 
 BETAS = 10
 _ORDER = "ZXY"

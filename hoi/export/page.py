@@ -11,7 +11,7 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ import torch
 from numpy.typing import NDArray
 
 from hoi.data import Array, Run
+from hoi.files import whole_file
 from hoi.gaussians import SH_C0
 from hoi.render.cameras import FOV_Y, VIEWS, frame_action
-from hoi.render.encode import whole_file
 from hoi.render.replay import Replay, replay
 from hoi.render.splats import Splats
 from hoi.view.marks import Marks, impulse_arrow, largest_impulse, marks_of, normal_arrow, plane_axes
@@ -80,8 +80,10 @@ def page(run: Run) -> str:
         InputError: as `hoi.render.replay.replay`.
     """
     shown = replay(run)
-    names = [name for name, there in (("person", run.state.motion), ("object", run.state.trajectory)) if there]
-    parts = [part_of([shown.parts(frame)[i] for frame in range(shown.frames)]) for i in range(len(names))]
+    given = (("person", run.state.motion), ("object", run.state.trajectory))
+    names = [name for name, there in given if there is not None]
+    frames = [shown.parts(frame) for frame in range(shown.frames)]
+    parts = [part_of(part) for part in zip(*frames, strict=True)]
     blob = gzip.compress(b"".join(part.to_bytes() for part in parts), 6, mtime=0)
     facts = _facts(run, shown, marks_of(run))
     facts["parts"] = [
@@ -106,7 +108,7 @@ def _filled(text: str, pieces: dict[str, str]) -> Iterator[str]:
         yield tail
 
 
-def part_of(frames: list[Splats]) -> Part:
+def part_of(frames: Sequence[Splats]) -> Part:
     """Round a part's Gaussians, one Splats a frame. What is not finite becomes transparent, in all frames."""
     means = np.stack([splats.means.numpy() for splats in frames]).astype(np.float32)
     count = means.shape[1]
@@ -144,8 +146,9 @@ def _facts(run: Run, shown: Replay, marks: Marks) -> dict[str, Any]:
     """All but the Gaussians."""
     scene = run.scene
     assert scene is not None  # checked by `replay`
-    camera = frame_action(shown.action().points(), VIEWS["three_quarter"], margin=0.12)
-    distance = float(((shown.action().points() - camera.position) @ camera.forward).mean())
+    action = shown.action().points()
+    camera = frame_action(action, VIEWS["three_quarter"], margin=0.12)
+    distance = float(((action - camera.position) @ camera.forward).mean())
     largest = largest_impulse(marks.contacts)
     return {
         "title": f"{scene.name} · {run.plan.variant}",

@@ -10,7 +10,8 @@ from PIL import Image
 from hoi import record
 from hoi.data import Run
 from hoi.errors import InputError, RunError
-from hoi.render.encode import Pixels, Video, check_fps, encode, whole_file
+from hoi.files import whole_file
+from hoi.render.encode import Pixels, Video, check_fps, encode
 
 VIEW = "three_quarter"
 GIF_WIDTH, GIF_BYTES = 480, 5_000_000
@@ -59,6 +60,8 @@ def write_gif(video: Video, path: Path, most: int = GIF_BYTES) -> None:
         RunError: the disk is full or broken.
     """
     pictures = list(_decoded(video))
+    if not pictures:
+        raise InputError("the recorded video has no picture that can be decoded")
     fps = float(video.fps)
     if fps > GIF_RATE:
         kept = np.unique(np.floor(np.arange(0, len(pictures), fps / GIF_RATE)).astype(int))

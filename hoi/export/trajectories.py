@@ -7,8 +7,8 @@ from pathlib import Path
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_frames
 from hoi.data import Run
-from hoi.errors import InputError
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
+from hoi.render.shown import scene_of
 
 AXES = "xyz"
 
@@ -17,12 +17,10 @@ def write_csv(run: Run, path: Path) -> None:
     """Write time [s], the object's centre of mass [m], velocity [m/s], energies [J] and phase, the joints [m].
 
     Raises:
-        InputError: the run shows nothing, or the path cannot be written to.
+        InputError: as `hoi.render.shown.scene_of`, or the path cannot be written to.
         RunError: the disk is full or broken.
     """
-    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
-    if scene is None or (motion is None and trajectory is None):
-        raise InputError("the run has neither a motion nor a trajectory")
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     columns: dict[str, list[float | int | str]] = {}
     if trajectory is not None:
         for name, values in (("object_", trajectory.com), ("object_v", trajectory.com_velocity)):

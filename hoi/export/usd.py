@@ -18,23 +18,22 @@ from hoi.export.axes import linear
 from hoi.export.person import skinned_mesh
 from hoi.export.surface import Faces
 from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw
-from hoi.render.encode import whole_file
+from hoi.files import whole_file
+from hoi.render.shown import scene_of
 
 
 def write_usd(run: Run, path: Path) -> None:
     """Write what the run shows as a .usdc.
 
     Raises:
-        InputError: usd-core is not installed, the run shows nothing, or the path cannot be written to.
+        InputError: as `hoi.render.shown.scene_of`, usd-core is not installed, or the path cannot be written to.
         RunError: the disk is full or broken.
     """
     try:
         from pxr import Tf, Usd, UsdGeom
     except ImportError:
         raise InputError("--usd needs usd-core, which is not installed; pip install 'hoi[export]'") from None
-    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
-    if scene is None or (motion is None and trajectory is None):
-        raise InputError("the run has neither a motion nor a trajectory")
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     stage: Any = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from hoi.arguments import Parser
 from hoi.errors import InputError, RunError
 from hoi.interrupt import interruptible
 
@@ -22,7 +23,7 @@ EXAMPLES = """examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `python -m hoi.layouts`; the exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m hoi.layouts",
         description=__doc__,
         epilog=EXAMPLES,

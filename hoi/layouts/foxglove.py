@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hoi.errors import InputError
+from hoi.files import whole_file
 
 SCENE, PICTURE, PHASES = "3D!hoiscene", "Image!hoivideo", "StateTransitions!hoiphase"
 ENERGY, SPEED, CONTACT = "Plot!hoienergy", "Plot!hoispeed", "RawMessages!hoicontact"
@@ -51,12 +51,11 @@ def write(path: Path) -> None:
     """Write the layout.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the path cannot be written to.
+        RunError: the disk is full or broken.
     """
-    try:
-        path.write_text(json.dumps(layout(), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+    with whole_file(path) as part:
+        part.write_text(json.dumps(layout(), indent=2) + "\n", encoding="utf-8")
 
 
 def _scene() -> dict[str, Any]:

@@ -20,6 +20,8 @@ from hoi import record
 from hoi.body.skeleton import PARENTS
 from hoi.data import Array, Run
 from hoi.errors import InputError
+from hoi.files import whole_file
+from hoi.render.shown import scene_of
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -46,8 +48,6 @@ def save(path: Path, out: Path) -> None:
         InputError: as `hoi.record.read`, nothing to show, no Rerun here, or `out` cannot be written.
         RunError: the disk is full or broken.
     """
-    from hoi.render.encode import whole_file
-
     with _recording(path) as (stream, run):
         if not out.parent.is_dir():
             raise InputError(f"-o {out}: no such folder {out.parent}")
@@ -111,8 +111,7 @@ def blueprint() -> "Blueprint":
 def _recording(path: Path) -> "Iterator[tuple[RecordingStream, Run]]":
     """A stream without a sink, and what to log to it."""
     run = record.read(path)
-    if run.scene is None or (run.state.motion is None and run.state.trajectory is None):
-        raise InputError(f"{path} has neither a motion nor a trajectory to show (status {run.result.get('status')})")
+    scene_of(run, path)
     os.environ.setdefault("RUST_LOG", "error")  # read when Rerun is imported
     try:
         from rerun import RecordingStream
@@ -125,9 +124,8 @@ def _recording(path: Path) -> "Iterator[tuple[RecordingStream, Run]]":
 def _log(stream: "RecordingStream", run: Run, path: Path) -> None:
     import rerun as rr
 
-    assert run.scene is not None  # by `_recording`
     stream.log_file_from_path(path)
-    fps, here = run.scene.fps, rr.CoordinateFrame(WORLD)
+    fps, here = scene_of(run).fps, rr.CoordinateFrame(WORLD)
     half = (GROUND_SIZE / 2, GROUND_SIZE / 2, 0.005)
     floor = rr.Boxes3D(half_sizes=[half], centers=[(0, 0, -0.005)], colors=[FLOOR], fill_mode="solid")
     stream.log(GROUND, floor, here, static=True)

@@ -32,6 +32,11 @@ class Fidelity:
     closest: float
     """The least such distance over all frames asked for [m]; lower is better."""
 
+    @property
+    def miss(self) -> float:
+        """How far the contact is from touch: what is inside at worst, and what is apart at t_c [m]."""
+        return self.penetration + self.gap
+
 
 def instants(first: float, last: float, also: Iterable[float] = ()) -> Array:
     """`SUBFRAMES` times a frame from `first` to `last`, and the frames `also`; in order, (F,)."""

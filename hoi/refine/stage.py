@@ -44,19 +44,20 @@ def refine(scene: Scene, state: State, config: Config, device: str, stage: Stage
         if isinstance(conf, VideoSDSConf):
             from hoi.refine.sds import video_sds
 
-            best = before.penetration, motion
+            best = before, motion
 
             def enough(tried: Motion) -> bool:
                 nonlocal best
-                depth = meeting.fidelity(tried, distance).penetration
-                best = min(best, (depth, tried), key=lambda found: found[0])
-                return depth <= conf.tolerance
+                found = meeting.fidelity(tried, distance)
+                best = min(best, (found, tried), key=lambda each: each[0].miss)
+                return found.penetration <= conf.tolerance
 
             if conf.when is RefineWhen.needed:
                 video_sds(scene, motion, trajectory, window, config, device, stage, enough)
-                deepest, refined = best
-                if deepest > conf.tolerance:
-                    stage.notes.append(f"not out after all iterations: the best is kept, {deepest:.4f} m deep")
+                kept, refined = best
+                if kept.penetration > conf.tolerance:
+                    found = f"{kept.penetration:.4f} m deep, {kept.gap:.4f} m apart at t_c"
+                    stage.notes.append(f"not out and touching: the nearest to it is kept, {found}")
             else:
                 refined = video_sds(scene, motion, trajectory, window, config, device, stage)
         else:

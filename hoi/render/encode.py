@@ -1,13 +1,11 @@
-"""Pictures -> H.264 -> MP4, and PNG. The only module that knows PyAV; files are written whole or not at all.
+"""Pictures -> H.264 -> MP4, and PNG. The only module that knows PyAV.
 
 One encoding serves twice: its access units go into records as they are (Annex B, a picture each, no B-frames, parameter
 sets with every key frame, as `foxglove.CompressedVideo` wants them) and into an MP4 without being encoded again.
 """
 
 import io
-import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -18,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError
+from hoi.files import whole_file
 
 CRF = 18
 """Constant rate factor of x264: what is lost cannot be seen."""
@@ -141,19 +140,3 @@ def write_png(picture: Pixels, path: Path) -> None:
     """
     with whole_file(path) as part:
         Image.fromarray(picture).save(part, format="png", optimize=False)
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to, which takes its place when the block ends well and is removed when not."""
-    part = path.with_name(path.name + ".part")
-    try:
-        try:
-            yield part
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:  # PyAV's errors of the system are OSErrors too
-        if isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | IsADirectoryError):
-            raise InputError(f"cannot write {path}: {error.strerror}") from error
-        raise RunError(f"cannot write {path}: {error.strerror}; free some space or write elsewhere") from error

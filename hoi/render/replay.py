@@ -13,8 +13,8 @@ from torch import Tensor
 from hoi import gaussians
 from hoi.body.skinning import BodyTensors, body_tensors, pose_gaussians, posed_means
 from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run
-from hoi.errors import InputError
 from hoi.render.action import Action
+from hoi.render.shown import scene_of
 from hoi.render.splats import Splats, from_cloud
 
 BLOCK = 131_072
@@ -198,15 +198,9 @@ def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
     """Prepare a run, as `hoi.record.read` gives it, for being drawn.
 
     Raises:
-        InputError: the run has neither a motion nor a trajectory, or they differ in length.
+        InputError: as `hoi.render.shown.scene_of`.
     """
-    scene, motion, trajectory = run.scene, run.state.motion, run.state.trajectory
-    if scene is None or (motion is None and trajectory is None):
-        raise InputError(f"the run has neither a motion nor a trajectory to show (status {run.result.get('status')})")
-    if motion is not None and trajectory is not None and len(motion) != len(trajectory.positions):
-        raise InputError(
-            f"the run's motion has {len(motion)} frames, its trajectory {len(trajectory.positions)}; they must agree"
-        )
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     person = None if motion is None else _MovingPerson(scene.body, motion, device)
     thing = None if trajectory is None else _MovingObject(scene.object.cloud, trajectory, device)
     return Replay(person, thing, run, scene.fps)

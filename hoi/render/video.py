@@ -12,8 +12,8 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import NoReturn
 
+from hoi.arguments import Parser
 from hoi.config import RenderBackend
 from hoi.errors import InputError, RunError
 from hoi.interrupt import interruptible
@@ -36,13 +36,8 @@ def _frames(text: str) -> slice:
     return slice(*(int(part) if part else None for part in found.groups()))
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"video: {message}; --help tells what is allowed\n")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m hoi.render.video",
         description="Videos, filmstrips and cameras of finished runs; several runs are seen side by side.",
         epilog="Without -o, --png and --cameras the video is written beside the first record, as VIEW.mp4. "
@@ -98,8 +93,8 @@ def execute(options: argparse.Namespace) -> list[Path]:
     _check(options)
     import torch
 
+    from hoi.files import whole_file
     from hoi.render import panels as side_by_side
-    from hoi.render.encode import whole_file
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")

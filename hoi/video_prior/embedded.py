@@ -21,10 +21,8 @@ from hoi.errors import InputError
 from hoi.motion.diffusion import guide
 from hoi.motion.text import MINILM_PACKAGE, TextEncoder, default_cache, minilm
 from hoi.video_prior.denoiser import Architecture, VideoDenoiser, alphas_cumprod
-from hoi.weights import EMBEDDED_PICTURE
+from hoi.weights import EMBEDDED_PICTURE, embedded_video_prior
 
-WEIGHTS_NAME = "video_prior.safetensors"
-EMBEDDED = Path(__file__).parent / "weights" / WEIGHTS_NAME
 FORMAT = "hoi video prior 1"
 CLIP_FRAMES, SIZE, FPS = 5, EMBEDDED_PICTURE, 20.0
 CROP = 0.28
@@ -142,15 +140,13 @@ def load_embedded(
     """The prior in the package, or one that `hoi.video_prior.train` has left behind.
 
     Args:
-        path: a .safetensors, or a folder with one of `WEIGHTS_NAME`.
+        path: a .safetensors, or a folder with a `hoi.weights.VIDEO_PRIOR_NAME`.
         text_cache: where sentence embeddings are kept; default: the user's cache folder.
 
     Raises:
         InputError: the file is missing, damaged or of another kind, or the text encoder is another one.
     """
-    file = EMBEDDED if path is None else Path(path)
-    if file.is_dir():
-        file = file / WEIGHTS_NAME
+    file = embedded_video_prior(path)
     tensors, description = _read(file)
     encoder = minilm(text_cache or default_cache())
     if encoder.sha256 != description.text_encoder:
@@ -169,8 +165,6 @@ def load_embedded(
 
 
 def _read(file: Path) -> tuple[dict[str, Tensor], Description]:
-    if not file.is_file():
-        raise InputError(f"video prior: {file} does not exist; python -m hoi.video_prior.train makes one")
     try:
         with safe_open(file, framework="pt") as opened:
             about: dict[str, Any] = opened.metadata() or {}

@@ -15,7 +15,8 @@ from hoi.video_prior import contacts
 from hoi.video_prior.clips import Clips
 from hoi.video_prior.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
 from hoi.video_prior.denoiser import Architecture
-from hoi.video_prior.embedded import CROP, WEIGHTS_NAME, Description, save_embedded
+from hoi.video_prior.embedded import CROP, Description, save_embedded
+from hoi.weights import VIDEO_PRIOR_NAME
 
 
 def publish(state: dict[str, Any], clips: Clips, held_out: int, facts: dict[str, Any], out: Path) -> None:
@@ -29,7 +30,7 @@ def publish(state: dict[str, Any], clips: Clips, held_out: int, facts: dict[str,
     """
     architecture = Architecture(**{**state["architecture"], "channels": tuple(state["architecture"]["channels"])})
     description = Description(architecture, state["step"], MINILM_SHA256)
-    save_embedded(out / WEIGHTS_NAME, state["average"], (state["text_mean"], state["text_std"]), description)
+    save_embedded(out / VIDEO_PRIOR_NAME, state["average"], (state["text_mean"], state["text_std"]), description)
     log = read_log(out / "log.jsonl")
     tested = [row for row in log if "held_out" in row]
     report = {

@@ -11,15 +11,10 @@ import sys
 import threading
 import webbrowser
 from pathlib import Path
-from typing import NoReturn
 
+from hoi.arguments import Parser
 from hoi.errors import InputError
 from hoi.interrupt import interruptible
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"view: {message}; --help tells what is allowed\n")
 
 
 def _port(text: str) -> int:
@@ -29,7 +24,7 @@ def _port(text: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m hoi.view",
         description="Finished runs as a moving 3D scene in the browser; several are seen side by side.",
         epilog="example: python -m hoi.view runs/kick_soccer_ball/laptop/full/s0/run.mcap --open",
@@ -58,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     try:
         host = "localhost" if options.host in ("127.0.0.1", "0.0.0.0", "::") else options.host
-        url = f"http://{host}:{viewer.port}"
+        url = f"http://[{host}]:{viewer.port}" if ":" in host else f"http://{host}:{viewer.port}"
         print(f"{url}  (Ctrl-C ends it)", flush=True)
         if options.open:
             webbrowser.open(url)

@@ -88,6 +88,5 @@ class Player:
             if frame != shown and self.playing and not self._ended.is_set():
                 self._show(frame)
                 shown = frame
-            with self._lock:
-                left = (math.floor(now) + 1 - now) / rate - 1e-4
-            self._ended.wait(max(left, 0.001))
+                continue  # that took time
+            self._ended.wait(max((math.floor(now) + 1 - now) / rate - 1e-4, 0.001))

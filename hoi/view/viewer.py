@@ -135,8 +135,8 @@ def _labels(all_moments: Sequence[Moments], paths: Sequence[Path]) -> list[str]:
 
 def _offsets(all_moments: Sequence[Moments]) -> list[Array]:
     """From left to right, seen from in front, in whole metres so that the grids of the floors agree; (3,) each."""
-    people = [moments.replay.action() for moments in all_moments]
-    extents = [(each.person if each.person.shape[1] else each.thing)[..., 0] for each in people]
-    step = np.ceil(max(float(extent.max() - extent.min()) for extent in extents) + MARGIN)
+    actions = [moments.replay.action() for moments in all_moments]
+    extents = [(each.person if each.person.shape[1] else each.thing)[..., 0] for each in actions]
+    step = np.ceil(max(float(x.max()) for x in extents) - min(float(x.min()) for x in extents) + MARGIN)
     middle = np.round((len(all_moments) - 1) / 2)
     return [np.array([(middle - number) * step, 0.0, 0.0]) for number in range(len(all_moments))]

@@ -1,5 +1,6 @@
-"""Folders written whole or not at all; for files see `hoi.render.encode.whole_file`."""
+"""Files and folders written whole or not at all."""
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -7,6 +8,27 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A path beside `path` to write to, which takes its place when the block ends well and is removed when not.
+
+    Raises:
+        InputError: the path cannot be written to.
+        RunError: the disk is full or broken.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        try:
+            yield part
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:  # PyAV's errors of the system are OSErrors too
+        if isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | IsADirectoryError):
+            raise InputError(f"cannot write {path}: {error.strerror}") from error
+        raise RunError(f"cannot write {path}: {error.strerror}; free some space or write elsewhere") from error
 
 
 @contextmanager
