@@ -12,7 +12,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from hoi.config import Config, HMSDConf
+from hoi.config import Config, HMSDConf, VideoSDSConf
 
 PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
 NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
@@ -45,7 +45,7 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "device": config.device.value,
     }
     facts.update({f"version.{name}": version(name) for name in PACKAGES})
-    motion = config.stage.motion
+    motion, refine = config.stage.motion, config.stage.refine
     human, skinning = config.human.path, config.human.skinning
     if human is not None and Path(human).is_dir():  # an avatar's folder
         human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"
@@ -55,11 +55,22 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "human.skinning": skinning,
         "stage.motion.checkpoint": motion.checkpoint if isinstance(motion, HMSDConf) else None,
         "stage.motion.path": motion.path if isinstance(motion, HMSDConf) else None,
+        "stage.refine.checkpoint": refine.checkpoint if isinstance(refine, VideoSDSConf) else None,
     }
     for name, path in inputs.items():
-        if path is not None and Path(path).is_file():
-            facts[f"sha256.{name}"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        if path is not None and Path(path).exists():
+            facts[f"sha256.{name}"] = digest(Path(path))
     return facts
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file's bytes; of a folder, of the relative paths and digests of its files, in order."""
+    if path.is_file():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    lines = [f"{digest(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def git_state() -> str:

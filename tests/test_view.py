@@ -103,9 +103,10 @@ def test_thin_gaussians_keep_their_width(demo):
 def test_what_is_not_finite_is_not_seen(demo):
     splats = replay(demo[0]).parts(0)[0]
     splats.means[3, 1], splats.covariances[5, 0, 0] = float("nan"), float("inf")
+    splats.opacities[7], splats.sh[9, 0, 2] = float("nan"), float("inf")
     packed = pack(splats)
     alpha = packed[:, 7] >> 24
-    assert np.flatnonzero(alpha == 0).tolist() == [3, 5]
+    assert np.flatnonzero(alpha == 0).tolist() == [3, 5, 7, 9]
     assert np.isfinite(positions(packed)).all() and np.isfinite(covariances(packed)).all()
 
 
@@ -293,6 +294,22 @@ def test_runs_stand_side_by_side(viewer):
     assert first[0] - second[0] >= 2 and np.array_equal(first[1:], second[1:])
     labels = [viewer.server.scene._handle_from_node_name[f"/run{k}/label"].text for k in (0, 1)]
     assert labels == ["full", "no_mpm"]
+
+
+def test_people_who_go_towards_each_other_do_not_meet(demo):
+    pytest.importorskip("viser", reason="needs hoi[view]")
+    from hoi.view.viewer import MARGIN, _offsets
+
+    motion = demo[0].state.motion
+    path = np.linspace(0, 3, FRAMES)[:, None] * (1.0, 0.0, 0.0)
+    runs = []
+    for way in (-1, 1):
+        moved = replace(motion, translation=(motion.translation + way * path).astype(np.float32))
+        runs.append(Moments(replace(demo[0], state=replace(demo[0].state, motion=moved))))
+    left, right = (
+        run.replay.action().person[..., 0] + offset[0] for run, offset in zip(runs, _offsets(runs), strict=True)
+    )
+    assert left.min() - right.max() >= MARGIN
 
 
 def test_contact_shows_from_its_moment_on(viewer):

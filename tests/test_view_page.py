@@ -86,6 +86,8 @@ def test_rounding_of_far_flat_and_broken_gaussians():
     still = Splats(means, sigma, torch.ones(4), torch.zeros(4, 1, 3))
     broken = replace(still, means=means.clone())
     broken.means[3, 0] = float("nan")
+    pale = replace(still, opacities=torch.tensor([1.0, float("nan"), 1, 1]))
+    assert part_of([pale]).rgba[:, 3].tolist() == [255, 0, 255, 255]
     part = part_of([still, broken])
     back = part.origins[:, None] + part.step * part.positions
     assert part.step == pytest.approx(60 / 65535) and part.rgba[:, 3].tolist() == [255, 255, 255, 0]

@@ -112,7 +112,8 @@ def part_of(frames: Sequence[Splats]) -> Part:
     """Round a part's Gaussians, one Splats a frame. What is not finite becomes transparent, in all frames."""
     means = np.stack([splats.means.numpy() for splats in frames]).astype(np.float32)
     count = means.shape[1]
-    good = np.isfinite(means).all((0, 2))
+    rgba = np.column_stack([0.5 + SH_C0 * frames[-1].sh[:, 0].numpy(), frames[-1].opacities.numpy()])
+    good = np.isfinite(means).all((0, 2)) & np.isfinite(rgba).all(1)
     factors = np.zeros((len(frames), count, 6), np.float32)
     rows, columns = np.tril_indices(3)
     for frame, splats in enumerate(frames):
@@ -130,8 +131,7 @@ def part_of(frames: Sequence[Splats]) -> Part:
     radii = np.maximum(np.abs(factors).max((0, 2)), 1e-9)
     origins = means.min(1)
     step = max(STEP, float((means - origins[:, None]).max()) / LEVELS)
-    last = frames[-1]
-    rgba = np.column_stack([0.5 + SH_C0 * last.sh[:, 0].numpy(), last.opacities.numpy() * good])
+    rgba[~good] = 0
     return Part(
         step=step,
         origins=origins,

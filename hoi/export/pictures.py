@@ -31,9 +31,7 @@ def video_of(run: Run, path: Path) -> Video:
     """
     try:
         footage = record.video(path)
-    except InputError as error:
-        if "has no video" not in str(error):  # it has one, which is damaged
-            raise
+    except record.NoVideo:
         return _drawn(run)
     scene_fps = run.scene.fps if run.scene is not None else None
     fps = footage.fps or scene_fps

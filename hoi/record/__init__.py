@@ -20,7 +20,7 @@ Metadata: `hoi.record` (format), `hoi.run` (provenance), `hoi.result`. Attachmen
 """
 
 from hoi.record.camera import Footage
-from hoi.record.reader import joints, message_digest, posed_points, read, read_metadata, video
+from hoi.record.reader import NoVideo, joints, message_digest, posed_points, read, read_metadata, video
 from hoi.record.writer import write
 
-__all__ = ["Footage", "joints", "message_digest", "posed_points", "read", "read_metadata", "video", "write"]
+__all__ = ["Footage", "NoVideo", "joints", "message_digest", "posed_points", "read", "read_metadata", "video", "write"]

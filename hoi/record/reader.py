@@ -48,6 +48,10 @@ from hoi.record.schemas import (
 from hoi.record.views import CAMERA
 
 
+class NoVideo(InputError):
+    """A record that is whole, but has no video."""
+
+
 def read(path: Path) -> Run:
     """The run as it was given to `write`.
 
@@ -128,14 +132,15 @@ def video(path: Path) -> Footage:
     """What the camera saw: the encoded pictures, and the camera of each.
 
     Raises:
-        InputError: as `read`, or the record has no video.
+        InputError: as `read`.
+        NoVideo: the record has none.
     """
     with _opened(path) as reader:
         _metadata(reader, path)
         messages = [message for _, _, message in reader.iter_messages(["/camera/video"])]
         pictures = [message.data for message in messages]
         if not pictures:
-            raise InputError(f"{path} has no video: its run failed, or was made with render=none")
+            raise NoVideo(f"{path} has no video: its run failed, or was made with render=none")
         transforms = [FrameTransforms.FromString(m.data).transforms for _, _, m in reader.iter_messages(["/tf"])]
         places = [place for frame in transforms for place in frame if place.child_frame_id == CAMERA]
         summary = reader.get_summary()

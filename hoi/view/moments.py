@@ -99,16 +99,15 @@ def pack(splats: Splats) -> Packed:
     Lengths in `UNIT`. Colours are those of degree 0; what is not finite is transparent.
     """
     means, covariances = splats.means.numpy() / np.float32(UNIT), splats.covariances.numpy() / np.float32(UNIT**2)
-    alpha = splats.opacities.numpy()
-    broken = ~(np.isfinite(means).all(1) & np.isfinite(covariances).all((1, 2)))
+    rgba = np.column_stack([0.5 + SH_C0 * splats.sh[:, 0].numpy(), splats.opacities.numpy()])
+    broken = ~(np.isfinite(means).all(1) & np.isfinite(covariances).all((1, 2)) & np.isfinite(rgba).all(1))
     if broken.any():
-        means, covariances, alpha = (np.where(broken.reshape(-1, *[1] * (a.ndim - 1)), 0, a)
-                                     for a in (means, covariances, alpha))  # fmt: skip
+        means, covariances, rgba = (np.where(broken.reshape(-1, *[1] * (a.ndim - 1)), 0, a)
+                                    for a in (means, covariances, rgba))  # fmt: skip
     packed = np.zeros((len(splats), 8), np.uint32)
     packed[:, :3] = np.ascontiguousarray(means, np.float32).view(np.uint32)
     triangle = covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].clip(-65504, 65504)
     packed[:, 4:7] = np.ascontiguousarray(triangle, np.float16).view(np.uint32)
-    rgba = np.column_stack([0.5 + SH_C0 * splats.sh[:, 0].numpy(), alpha])
     packed[:, 7] = np.rint(np.clip(rgba, 0, 1) * 255).astype(np.uint8).view(np.uint32)[:, 0]
     return packed
 
