@@ -7,7 +7,7 @@ from hoi.validate import to_config
 
 
 def test_files_and_folders_have_digests(tmp_path) -> None:
-    """A folder's is that of what sha256sum prints of its files: it follows content and names, and no order of listing."""
+    """A folder's is that of what sha256sum prints of its files, by name."""
     (tmp_path / "unet").mkdir()
     (tmp_path / "unet" / "weights.safetensors").write_bytes(b"weights")
     (tmp_path / "config.json").write_bytes(b"{}")
