@@ -21,8 +21,8 @@ run: $(READY)  ## the default scene: record it, film it, draw a filmstrip, print
 	$(BIN)/python -m hoi.run $(ARGS)
 	$(BIN)/python -m analysis.strip runs/kick_soccer_ball/laptop/full/s0/run.mcap
 
-test: $(READY)  ## all tests
-	$(BIN)/python -m pytest -q $(ARGS)
+test: $(READY)  ## all tests, a file a core
+	$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 lint: $(READY)  ## ruff and the type checker
 	$(BIN)/ruff check

@@ -53,7 +53,8 @@ def test_free_fall_by_mpm(scene_of, spline):
 
 def test_what_a_walk_left_out_is_reported(scene_of):
     """Steps done and left out make up the whole, and every second has its phase."""
-    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]")
+    turning = "scene.placement.angular_velocity=[0,0,2]"
+    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", turning)
     with Stages().stage("test", 1) as stage:
         movers.free_motion(scene, movers.mover(config, "cpu"), stage)
     numbers = stage.numbers

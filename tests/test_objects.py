@@ -55,7 +55,7 @@ def test_builtin_is_a_closed_coloured_surface(name: str, factor: float) -> None:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     assert mesh.is_watertight and mesh.volume > 0
     extent = factor * np.array(shape.extent)
-    volume = np.pi / 6 * extent[0] ** 3 if shape.kind == "ball" else extent.prod()
+    volume = {"ball": np.pi / 6, "cylinder": np.pi / 4, "box": 1.0}[shape.kind] * extent.prod()
     assert mesh.volume == pytest.approx(volume, rel=0.01)
     assert np.ptp(surface.cloud.means, axis=0) == pytest.approx(extent, rel=2e-3)
     assert 1000 <= len(surface.cloud) <= 12500
@@ -63,13 +63,13 @@ def test_builtin_is_a_closed_coloured_surface(name: str, factor: float) -> None:
     assert rgb.min() >= 0 and rgb.max() <= 1 and np.ptp(rgb, axis=0).max() > 0.3
 
 
-@pytest.mark.parametrize("name", ["soccer_ball", "cardboard_box"])
+@pytest.mark.parametrize("name", ["soccer_ball", "cardboard_box", "sand_bag"])
 def test_gaussians_are_flat_lie_along_the_surface_and_are_evenly_spread(name: str) -> None:
     shape = shapes.SHAPES[name]
     cloud = shapes.build(shape, max(shape.extent)).cloud
     normals = gaussians.rotation_matrices(cloud)[:, :, 2]
     outward = cloud.means / np.linalg.norm(cloud.means, axis=1, keepdims=True)
-    assert ((normals * outward).sum(1) > (0.999 if shape.kind == "ball" else 0.57)).all()
+    assert ((normals * outward).sum(1) > (0.999 if shape.kind == "ball" else 0.55)).all()
     assert (cloud.scales[:, 2] < 0.25 * cloud.scales[:, :2].min(1)).all()
     nearest = KDTree(cloud.means).query(cloud.means, 2)[0][:, 1]
     assert nearest.min() > 0.6 * np.median(nearest) and nearest.max() < 1.5 * np.median(nearest)
