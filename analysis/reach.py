@@ -1,7 +1,7 @@
 """How near the striking joint comes to objects placed all around: `python -m analysis.reach [-o FILE.csv] [overrides]`.
 
 Stage 1 runs once a seed, its motion is the same wherever the object is; stage 2 runs for every placement, with the
-seeds in turn. The gap is that of `hoi.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
+seeds in turn. The gap is that of `hoi.method.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hoi.errors import InputError, RunError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from hoi.progress import Stage
+    from hoi.runner.progress import Stage
 
 DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
 """Of the object, as seen from the origin: the first ahead, the others evenly around [m]; None is on the ground."""
@@ -49,8 +49,8 @@ def config_of(overrides: Sequence[str]) -> Config:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
+    from hoi.config.validate import to_config
     from hoi.run import one_line
-    from hoi.validate import to_config
 
     register()
     try:
@@ -70,10 +70,10 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
     import pandas as pd
     import torch
 
-    from hoi import movers
-    from hoi.coordination import coordinate, meet
-    from hoi.motion.synthesis import load_distillation, synthesise
-    from hoi.scene import build_scene, load_object
+    from hoi.method import movers
+    from hoi.method.coordination import coordinate, meet
+    from hoi.method.scene import build_scene, load_object
+    from hoi.method.synthesis import load_distillation, synthesise
 
     config = config_of(overrides)
     if not isinstance(config.stage.motion, HMSDConf):
@@ -115,7 +115,7 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
 
 def quiet(name: str) -> Stage:
     """A stage without a bar."""
-    from hoi.progress import Stage
+    from hoi.runner.progress import Stage
 
     return Stage(name, lambda units: None, [])
 
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10, help="default 10")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()
-    from hoi.coordination import REACHED
+    from hoi.method.coordination import REACHED
 
     try:
         places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)

@@ -29,9 +29,9 @@ def default_parts(person_gaussians: int = PERSON_GAUSSIANS) -> tuple[Splats, Spl
 
     from hoi.body.skinning import stand_motion
     from hoi.config import CONF, register
+    from hoi.config.validate import to_config
+    from hoi.method.scene import build_scene
     from hoi.render.replay import person_tensors, posed
-    from hoi.scene import build_scene
-    from hoi.validate import to_config
 
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):

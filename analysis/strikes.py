@@ -31,7 +31,7 @@ from hoi.errors import InputError, RunError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from hoi.motion.distillation import ScoreDistillation
+    from hoi.method.hmsd import ScoreDistillation
     from hoi.motion.evaluator import Evaluator
 
 
@@ -68,7 +68,7 @@ def judged(
     import torch
 
     from analysis.motion import measures
-    from hoi.motion.distillation import PoseParameters
+    from hoi.method.hmsd import PoseParameters
 
     pose = PoseParameters.of(motions)
     with torch.no_grad():
@@ -100,12 +100,12 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     import torch
 
     from analysis.reach import config_of, quiet
-    from hoi import movers
     from hoi.body.skinning import joint_paths
-    from hoi.coordination import coordinate, meet
+    from hoi.method import movers
+    from hoi.method.coordination import coordinate, meet
+    from hoi.method.scene import build_scene
+    from hoi.method.synthesis import load_distillation, synthesise
     from hoi.motion.evaluator import load_evaluator
-    from hoi.motion.synthesis import load_distillation, synthesise
-    from hoi.scene import build_scene
 
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:

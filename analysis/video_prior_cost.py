@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from hoi.choices import VideoPriorKind
 from hoi.config import VideoSDSConf
-from hoi.refine.sds import distil
+from hoi.config.choices import VideoPriorKind
+from hoi.method.video_sds import distil
 from hoi.video_prior.cogvideox import CogVideoX, rotary_embedding
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
 from hoi.video_prior.cogvideox_files import Configs, Files, empty_transformer, empty_vae, estimate_memory

@@ -25,7 +25,7 @@ from hoi.errors import InputError
 if TYPE_CHECKING:
     import torch
 
-    from hoi.video_prior.contacts import Contact
+    from hoi.training.video.contacts import Contact
     from hoi.video_prior.embedded import EmbeddedPrior
 
 SEED = 99_991
@@ -41,7 +41,7 @@ TIMES = (50, 150, 300, 500, 700)
 def held_out_contacts(count: int) -> list[Contact]:
     """Clean contacts at the clip's middle frame."""
     from hoi.motion.prior import load_prior
-    from hoi.video_prior.contacts import sample_motions, stage_contact
+    from hoi.training.video.contacts import sample_motions, stage_contact
 
     prior = load_prior()
     motions = sample_motions(prior, max(8, count // 2), SEED)
@@ -59,11 +59,11 @@ def answers(prior: EmbeddedPrior, contact: Contact, views: int, noises: int, rng
     """The way [m] asked for under the negative prompt and under the prompt, (distances, times, 2)."""
     import torch
 
-    from hoi.refine.sds import predict_z
+    from hoi.method.video_sds import predict_z
     from hoi.refine.views import Framing, viewpoint
-    from hoi.video_prior.captions import captions
-    from hoi.video_prior.clips import render
-    from hoi.video_prior.contacts import OBJECT_SHARES, PEOPLE
+    from hoi.training.video.captions import captions
+    from hoi.training.video.clips import render
+    from hoi.training.video.contacts import OBJECT_SHARES, PEOPLE
     from hoi.video_prior.embedded import CROP, SIZE
 
     key = contact.limb, list(OBJECT_SHARES).index(contact.shape), PEOPLE.index(contact.person)

@@ -1,5 +1,5 @@
 """`python -m hoi` is the command `hoi`."""
 
-from hoi.cli import main
+from hoi.runner.cli import main
 
 main()

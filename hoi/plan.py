@@ -30,7 +30,7 @@ from hoi.config import (
 from hoi.data import Check, Material, Omission, Plan, Step
 from hoi.errors import InputError
 from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
-from hoi.weights import check_video_prior
+from hoi.video_prior.files import check_video_prior
 
 PARTS = {
     "no_attraction": "the attraction",

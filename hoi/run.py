@@ -1,4 +1,4 @@
-"""The front door: compose, and hand on to `hoi.execute`. No science here.
+"""The front door: compose, and hand on to `hoi.runner.execute`. No science here.
 
     python -m hoi.run scene=kick_soccer_ball ablation=no_mpm seed=1
     python -m hoi.run --config-dir sweeps --config-name ablations
@@ -17,9 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, register
 from hoi.errors import InputError, RunError
-from hoi.execute import execute, what_next
-from hoi.interrupt import interruptible
-from hoi.sweep import Ended, run_of_sweep
+from hoi.runner.execute import execute, what_next
+from hoi.runner.interrupt import interruptible
+from hoi.runner.sweep import Ended, run_of_sweep
 
 
 def one_line(error: BaseException) -> str:

@@ -19,7 +19,7 @@ class HoiSweeper(BasicSweeper):
             hoi.errors.RunError: some run failed, and it has been said which; or the launcher did.
         """
         from hoi.errors import RunError
-        from hoi.sweep import report
+        from hoi.runner.sweep import report
 
         assert self.launcher is not None and self.hydra_context is not None
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)

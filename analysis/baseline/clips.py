@@ -16,11 +16,11 @@ from hoi.body.skeleton import JOINT_NAMES, PARENTS
 from hoi.body.skinning import joint_paths
 from hoi.data import Body, Motion
 from hoi.errors import InputError
-from hoi.motion import deepmimic
-from hoi.motion.dataset import FPS, MIRRORED_JOINTS, rest_joints_of, swap_sides
-from hoi.motion.imports import SUFFIXES, read_motion, sole_height
-from hoi.motion.retarget import retarget
+from hoi.importers.motions import SUFFIXES, read_motion, sole_height
+from hoi.importers.retarget import retarget
 from hoi.motion.text import TextEncoder
+from hoi.training.motion import deepmimic
+from hoi.training.motion.dataset import FPS, MIRRORED_JOINTS, rest_joints_of, swap_sides
 
 LONGEST = 60.0
 """As much of a recording is searched for its strike [s]."""

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hoi.attraction import choose_target
 from hoi.body.skeleton import JOINT_COUNT, LIMBS
 from hoi.body.skinning import joint_paths
 from hoi.config import Approach, Config, ImpulseConf
-from hoi.contact import find_contact
-from hoi.coordination import approach, reach_gap
 from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, State, Target
-from hoi.progress import Stages
+from hoi.method.attraction import choose_target
+from hoi.method.contact import find_contact
+from hoi.method.coordination import approach, reach_gap
+from hoi.runner.progress import Stages
 
 RESTING = 1e-3
 """What is nearer to the ground than this lies on it [m]."""

@@ -15,16 +15,16 @@ from omegaconf.errors import OmegaConfBaseException
 from analysis.baseline.clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
 from analysis.baseline.replay import replayed
 from hoi.config import CONF, Ablation, Config, ImpulseConf, VideoConf, register
+from hoi.config.validate import to_config
 from hoi.data import Plan, Run, Step
 from hoi.errors import InputError, RunError
-from hoi.execute import RECORD, already_there
+from hoi.method.scene import build_scene
 from hoi.motion.text import default_cache, minilm
-from hoi.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
-from hoi.progress import Stages
-from hoi.provenance import provenance
 from hoi.run import one_line
-from hoi.scene import build_scene
-from hoi.validate import to_config
+from hoi.runner.execute import RECORD, already_there
+from hoi.runner.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
+from hoi.runner.progress import Stages
+from hoi.runner.provenance import provenance
 
 VARIANT, EXPERIMENT = "kinematic replay", "baseline"
 OUT = "runs/${scene.name}/baseline/kinematic_replay/s${seed}"

@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from analysis.ingest import meshes
-from hoi.arguments import Parser
 from hoi.errors import InputError, RunError
-from hoi.interrupt import interruptible
+from hoi.runner.arguments import Parser
+from hoi.runner.interrupt import interruptible
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from hoi.contact import impulse
 from hoi.data import Array, Contact, ContactSearch
+from hoi.method.contact import impulse
 
 Rows = NDArray[np.integer]
 

@@ -17,14 +17,14 @@ from analysis.ingest.points import SKIN_POINTS, in_our_world, object_of, tracked
 from analysis.ingest.videos import read_video
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.config import CONF, Ablation, Config, ImpulseConf, register
+from hoi.config.validate import to_config
 from hoi.data import Array, Body, ContactSearch, GaussianCloud, ObjectTrajectory, Plan, Run, Scene, State, Step
 from hoi.errors import InputError
+from hoi.method.scene import planes_of
 from hoi.plan import format_plan, material_of
-from hoi.provenance import provenance
 from hoi.record import write
 from hoi.render.encode import write_mp4
-from hoi.scene import planes_of
-from hoi.validate import to_config
+from hoi.runner.provenance import provenance
 
 EXPERIMENT = "baseline"
 PHASE = "ingested"

@@ -12,7 +12,7 @@ from analysis.learned.files import check_memory, files_sha256
 from analysis.learned.frames import Clip
 from analysis.learned.qwen_video import Cells, Sampling, VideoPatches, cut
 from hoi.errors import InputError, RunError
-from hoi.weights import in_hub_cache
+from hoi.video_prior.files import in_hub_cache
 
 QUESTION = "Is the interaction physically plausible overall?"
 """The paper's."""

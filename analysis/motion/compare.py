@@ -17,11 +17,11 @@ from analysis.motion.sources import Case, Source
 from hoi.body.kinematics import joint_positions
 from hoi.body.skeleton import PARENTS
 from hoi.errors import InputError
-from hoi.motion.dataset import FPS, TrainingSet
 from hoi.motion.evaluator import SHIPPED, Evaluator, load_evaluator
 from hoi.motion.features import decode, encode
 from hoi.motion.prior import load_prior
-from hoi.motion.training import read_split
+from hoi.training.motion.dataset import FPS, TrainingSet
+from hoi.training.motion.training import read_split
 
 REAL = "held-out clips"
 

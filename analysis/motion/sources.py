@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from analysis.motion.measures import LIMBS, SIDES
-from hoi.motion.dataset import FRAMES, TrainingSet
 from hoi.motion.diffusion import ancestral_sample, ddim_sample
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.prior import MotionPrior
+from hoi.training.motion.dataset import FRAMES, TrainingSet
 
 POOL = 32
 BATCH = 32

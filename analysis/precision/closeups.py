@@ -16,7 +16,7 @@ from analysis.precision.contacts import Start, Way
 from analysis.precision.report import INK, MUTED
 from analysis.reach import config_of, quiet
 from hoi.data import Array, Motion
-from hoi.refine.stage import refine
+from hoi.method.refine_stage import refine
 from hoi.refine.views import Framing, background, viewpoint
 from hoi.render.cameras import Camera
 from hoi.render.rasterise import rasterise

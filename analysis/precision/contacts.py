@@ -20,12 +20,12 @@ from analysis.reach import config_of, quiet
 from hoi.config import Config, HMSDConf
 from hoi.data import Motion, Run
 from hoi.errors import RunError
-from hoi.motion.distillation import PoseParameters
+from hoi.method.hmsd import PoseParameters
+from hoi.method.refine_stage import refine
+from hoi.method.synthesis import load_distillation
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.prior import load_prior
-from hoi.motion.synthesis import load_distillation
 from hoi.record import read
-from hoi.refine.stage import refine
 
 SETTINGS = {
     "laptop": (),

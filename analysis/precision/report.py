@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from analysis.precision.convergence import Order
 from analysis.precision.problems import Problem
 from analysis.precision.run import STAND_INS
-from hoi.provenance import git_state
+from hoi.runner.provenance import git_state
 
 INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
 KINDS = {

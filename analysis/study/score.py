@@ -11,7 +11,7 @@ from scipy.stats import t as student
 from analysis.study.agreement import alpha
 from analysis.study.answers import RATINGS, Key
 from analysis.study.questions import QUESTIONS, SCALE
-from hoi.choices import Ablation
+from hoi.config.choices import Ablation
 from hoi.data import Array
 from hoi.errors import InputError
 from hoi.files import whole_file

@@ -33,7 +33,7 @@ class StillPrior:
 
 def pull(clip: Tensor, t: int = 300, seed: int = 0) -> Tensor:
     """What one estimate of Video-SDS with this prior does to a clip (F, 3, 48, 48): minus its gradient."""
-    from hoi.refine.sds import distil
+    from hoi.method.video_sds import distil
 
     prior = StillPrior()
     video = clip.clone().requires_grad_()

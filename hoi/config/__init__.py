@@ -1,4 +1,4 @@
-"""The typed configuration: one dataclass a group, registered with Hydra, checked as a whole by `hoi.validate`.
+"""The typed configuration: one dataclass a group, registered with Hydra, checked as a whole by `hoi.config.validate`.
 
 Defaults live in `conf/`, not here: a field without a value there is an error at composition. Each field says what it is
 and, in brackets, its unit ([-] for a number that has none); `docs/` makes the reference of all keys from that. No heavy
@@ -11,7 +11,8 @@ from pathlib import Path
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from hoi.choices import (
+from hoi.config.agents import BoxConf, HumanConf, MaterialConf, ObjectConf, RegionConf
+from hoi.config.choices import (
     Ablation,
     Approach,
     AttractionKind,
@@ -37,7 +38,6 @@ from hoi.choices import (
     VideoPriorKind,
     View,
 )
-from hoi.config.agents import BoxConf, HumanConf, MaterialConf, ObjectConf, RegionConf
 from hoi.config.scene import PlacementConf, PlaneConf, RenderConf, SceneConf, VideoConf
 from hoi.config.stages import (
     AttractionConf,

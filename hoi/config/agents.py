@@ -5,7 +5,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from hoi.choices import HumanKind, MaterialModel, ObjectKind
+from hoi.config.choices import HumanKind, MaterialModel, ObjectKind
 
 
 @dataclass
@@ -51,7 +51,7 @@ class RegionConf:
     box: BoxConf = field(default_factory=BoxConf)
     material: Any = MISSING
     """A name in conf/material, or a mapping: of what differs from the object's own material, or a whole one if it names
-    a `model`. `hoi.validate` puts the `MaterialConf` here."""
+    a `model`. `hoi.config.validate` puts the `MaterialConf` here."""
 
 
 @dataclass

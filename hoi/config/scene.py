@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from hoi.choices import Approach, PlaneContact, RenderBackend, RenderKind, View
+from hoi.config.choices import Approach, PlaneContact, RenderBackend, RenderKind, View
 
 
 @dataclass

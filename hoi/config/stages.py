@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omegaconf import MISSING
 
-from hoi.choices import (
+from hoi.config.choices import (
     AttractionKind,
     AttractionTarget,
     ContactKind,

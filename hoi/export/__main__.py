@@ -12,9 +12,9 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from hoi.arguments import Parser
 from hoi.errors import InputError, RunError
-from hoi.interrupt import interruptible
+from hoi.runner.arguments import Parser
+from hoi.runner.interrupt import interruptible
 
 CHOICES = {
     "glb": ("scene.glb", "glTF 2.0: skinned person and moving object, for Blender, three.js, game engines"),

@@ -1,6 +1,6 @@
 """A judge of motions: sentences and motions in one space, close where the one describes the other.
 
-`hoi.motion.train_evaluator` trains it on the clips that priors are trained on, never on those held out.
+`hoi.training.motion.train_evaluator` trains it on the clips that priors are trained on, never on those held out.
 Contrastive as in TMR (Petrovich et al. 2023) and the evaluators of text-to-motion (Guo et al. 2022), but small: what it
 knows are a few dozen kinds of motion and their sides.
 """
@@ -14,9 +14,9 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from hoi.errors import InputError
-from hoi.motion.dataset import TrainingSet
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.text import TextEncoder, default_cache, minilm
+from hoi.training.motion.dataset import TrainingSet
 
 FILE_NAME = "evaluator.safetensors"
 FORMAT = "hoi motion evaluator 1"

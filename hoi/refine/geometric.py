@@ -18,10 +18,10 @@ from hoi.body.skinning import body_tensors, pose_means
 from hoi.config import WindowConf
 from hoi.data import Array
 from hoi.errors import RefineStopped
-from hoi.progress import Stage
 from hoi.refine.meeting import Meeting
 from hoi.refine.surface import Surface
 from hoi.refine.window import WindowedPose, bones_apart
+from hoi.runner.progress import Stage
 
 UNIT = 0.01
 """Depths and gaps count in this [m], so that the terms are of the order of 1 where there is something to do."""

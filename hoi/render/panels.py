@@ -10,7 +10,6 @@ import numpy as np
 from hoi import record
 from hoi.data import Array, Run
 from hoi.errors import InputError
-from hoi.progress import Stages
 from hoi.render.cameras import TOP_UP, VIEWS, Camera, circle, frame_action
 from hoi.render.cameras import view as view_of
 from hoi.render.encode import check_fps, encode, write_mp4, write_png
@@ -18,6 +17,7 @@ from hoi.render.film import choose_frames, film
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
 from hoi.render.rasterise import Backend
 from hoi.render.replay import Replay, replay
+from hoi.runner.progress import Stages
 
 TURN = 100
 """Viewpoints around a moment that is frozen: the paper's."""

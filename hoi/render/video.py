@@ -13,11 +13,11 @@ import re
 import sys
 from pathlib import Path
 
-from hoi.arguments import Parser
 from hoi.config import RenderBackend
 from hoi.errors import InputError, RunError
-from hoi.interrupt import interruptible
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
+from hoi.runner.arguments import Parser
+from hoi.runner.interrupt import interruptible
 
 CHOICES = (*VIEWS, "turntable", "all")
 

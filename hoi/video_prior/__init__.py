@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from hoi.choices import VideoPriorKind
 from hoi.config import VideoSDSConf
+from hoi.config.choices import VideoPriorKind
 
 if TYPE_CHECKING:
     import torch
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class VideoPrior(Protocol):
-    """What `hoi.refine.sds` asks of a prior. Nothing in it is trained there, and no gradient flows through `velocity`.
+    """What `hoi.method.video_sds` asks of a prior. Nothing is trained there, no gradient flows through `velocity`.
 
     Whatever the prior, pictures have three channels in [0, 1], channels first: RGB, or what `sees_silhouettes` says.
     """

@@ -18,7 +18,7 @@ from hoi.video_prior.cogvideox_files import (
     open_files,
     place,
 )
-from hoi.weights import check_video_prior
+from hoi.video_prior.files import check_video_prior
 
 if TYPE_CHECKING:
     from diffusers.models.transformers.cogvideox_transformer_3d import CogVideoXTransformer3DModel

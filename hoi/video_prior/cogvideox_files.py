@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from hoi.errors import InputError
 from hoi.video_prior.cogvideox_encode import chunks_of
-from hoi.weights import COGVIDEOX, WITHOUT, cogvideox_folder
+from hoi.video_prior.files import COGVIDEOX, WITHOUT, cogvideox_folder
 
 if TYPE_CHECKING:
     from diffusers.models.autoencoders.autoencoder_kl_cogvideox import AutoencoderKLCogVideoX

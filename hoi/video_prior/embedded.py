@@ -21,7 +21,7 @@ from hoi.errors import InputError
 from hoi.motion.diffusion import guide
 from hoi.motion.text import MINILM_PACKAGE, TextEncoder, default_cache, minilm
 from hoi.video_prior.denoiser import Architecture, VideoDenoiser, alphas_cumprod
-from hoi.weights import EMBEDDED_PICTURE, embedded_video_prior
+from hoi.video_prior.files import EMBEDDED_PICTURE, embedded_video_prior
 
 FORMAT = "hoi video prior 1"
 CLIP_FRAMES, SIZE, FPS = 5, EMBEDDED_PICTURE, 20.0
@@ -137,10 +137,10 @@ def save_embedded(
 def load_embedded(
     path: str | Path | None = None, device: torch.device | str = "cpu", text_cache: Path | None = None
 ) -> EmbeddedPrior:
-    """The prior in the package, or one that `hoi.video_prior.train` has left behind.
+    """The prior in the package, or one that `hoi.training.video.train` has left behind.
 
     Args:
-        path: a .safetensors, or a folder with a `hoi.weights.VIDEO_PRIOR_NAME`.
+        path: a .safetensors, or a folder with a `hoi.video_prior.files.VIDEO_PRIOR_NAME`.
         text_cache: where sentence embeddings are kept; default: the user's cache folder.
 
     Raises:

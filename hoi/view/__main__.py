@@ -12,9 +12,9 @@ import threading
 import webbrowser
 from pathlib import Path
 
-from hoi.arguments import Parser
 from hoi.errors import InputError
-from hoi.interrupt import interruptible
+from hoi.runner.arguments import Parser
+from hoi.runner.interrupt import interruptible
 
 
 def _port(text: str) -> int:

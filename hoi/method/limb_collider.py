@@ -1,0 +1,123 @@
+"""The striking limb as a moving obstacle: which capsules push the object, from when on, and along which paths."""
+
+import math
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from hoi.body.capsules import Capsules, carry, distance_to_axes, fit_capsules
+from hoi.body.skeleton import JOINT_NAMES
+from hoi.body.skinning import joint_frames
+from hoi.config import ImpulseConf
+from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
+from hoi.errors import RunError
+from hoi.method.contact import Limbs
+from hoi.mpm.collider import Collider
+
+CHAINS = {
+    "left leg": (1, 4, 7, 10),
+    "right leg": (2, 5, 8, 11),
+    "left arm": (16, 18, 20, 22),
+    "right arm": (17, 19, 21, 23),
+    "head": (12, 15),
+    "trunk": (0, 3, 6, 9, 13, 14),
+}
+"""The joints that push together: each joint is in one chain."""
+NEAR = 0.1
+"""A limb that comes this near to where the object would be, box to box, may push it too [m]."""
+
+
+def limb_collider(
+    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, conf: ImpulseConf
+) -> tuple[Collider, tuple[str, ...]]:
+    """The capsules of the striking limb, and of others that come near, from their last moment outside the object on.
+
+    Each joint's capsules are fitted once and carried along by the joint, `conf.samples` times a frame, with the motion
+    interpolated as everywhere else. A limb other than the one that strikes pushes only if it is outside the object by
+    then too. No capsule is thinner than the object's Gaussians are apart: it would slip in between them.
+
+    Args:
+        free: the object's free motion, in which `contact` was found.
+
+    Returns:
+        the collider, its times those of the scene [s], and notes on what was left out.
+
+    Raises:
+        RunError: the striking limb is in the object from the first frame on.
+    """
+    samples = conf.samples
+    frames = np.arange((scene.frames - 1) * samples + 1) / samples
+    rotations, positions = joint_frames(scene.body, motion, frames)
+
+    def paths(chain: str) -> tuple[Capsules, Array, Array]:
+        capsules = fit_capsules(scene.body, CHAINS[chain])
+        return capsules, *carry(capsules, np.asarray(scene.body.rest_joints, np.float64), rotations, positions)
+
+    def clear(limb: tuple[Capsules, Array, Array], at: int) -> bool:
+        capsules, starts, ends = limb
+        return outside(_particles_at(free, frames[at]), starts[at], ends[at], capsules.radii)
+
+    striker = next(chain for chain, joints in CHAINS.items() if contact.joint in joints)
+    limbs = [paths(striker)]
+    before = range(math.floor(contact.frame * samples), -1, -1)
+    first = next((at for at in before if clear(limbs[0], at)), None)
+    if first is None or first == len(frames) - 1:
+        raise RunError(
+            f"stage.contact.model=collider: the {striker} is in the object from the first frame to its contact at "
+            f"frame {contact.frame:.2f} ({JOINT_NAMES[contact.joint]}); move scene.placement.position away from the "
+            "person, or use stage.contact.model=impulse"
+        )
+    notes = []
+    for chain in _near(scene, motion, free, int(frames[first])):
+        if chain == striker:
+            continue
+        limb = paths(chain)
+        if len(limb[0].joints) and clear(limb, first):
+            limbs.append(limb)
+        elif len(limb[0].joints):
+            notes.append(f"the {chain} is in the object when the {striker} comes to push it: it pushes nothing")
+    capsules, starts, ends = zip(*limbs, strict=True)
+    fitted, least = np.concatenate([each.radii for each in capsules]), spacing(scene.object.cloud.means)
+    if fitted.min() < least:
+        notes.append(f"limbs thinner than the object's Gaussians are apart push as if of radius {least:.3f} m")
+    collider = Collider(
+        times=frames[first:] / scene.fps,
+        starts=np.concatenate(starts, axis=1)[first:],
+        ends=np.concatenate(ends, axis=1)[first:],
+        radii=np.maximum(fitted, least),
+        friction=conf.friction,
+    )
+    return collider, tuple(notes)
+
+
+def spacing(points: Array) -> float:
+    """How far apart neighbours among points (N, 3) are [m]: the 90th percentile."""
+    apart, _ = KDTree(points).query(points, k=2)
+    return float(np.percentile(apart[:, 1], 90))
+
+
+def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:
+    """Whether none of the points (P, 3) is in any of the capsules, (C, 3), (C, 3), (C,)."""
+    low = (np.minimum(starts, ends) - radii[:, None]).min(axis=0)
+    high = (np.maximum(starts, ends) + radii[:, None]).max(axis=0)
+    near = points[np.all((points > low) & (points < high), axis=1)]
+    return bool((distance_to_axes(near, starts, ends) >= radii).all())
+
+
+def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> list[str]:
+    """The chains with a joint whose Gaussians' box comes near the object's at a whole frame from `first` on."""
+    limbs = Limbs(scene.body, motion)
+    low, high = (bound(free.positions[first:], axis=1) for bound in (np.min, np.max))
+
+    def comes_near(joint: int) -> bool:
+        points = limbs.at_frames[joint][first:]
+        apart = np.maximum(points.min(axis=1) - high, low - points.max(axis=1)).max(axis=1)
+        return bool((apart <= NEAR).any())
+
+    return [chain for chain, joints in CHAINS.items() if any(comes_near(j) for j in joints if j in limbs.joints)]
+
+
+def _particles_at(free: ObjectTrajectory, frame: float) -> Array:
+    first = min(int(frame), len(free.positions) - 2)
+    before, after = free.positions[first], free.positions[first + 1]
+    return before + (frame - first) * (after - before)

@@ -1,0 +1,205 @@
+"""Temporally masked Video-SDS (paper, Video-SDS for Contact Fidelity and Video-SDS Details)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hoi.config import Config, VideoSDSConf
+from hoi.data import Motion, ObjectTrajectory, Scene
+from hoi.errors import RefineStopped
+from hoi.refine.clip import Clip, across, contact_framing, viewpoints
+from hoi.refine.geometric import Geometry
+from hoi.refine.meeting import meet
+from hoi.refine.window import Window, WindowedPose
+from hoi.runner.progress import Stage
+from hoi.streams import stream_seed
+from hoi.video_prior import VideoPrior, load_video_prior
+
+REMEDY = "lower stage.refine.guidance or learning_rate, or use stage/refine=geometric"
+SMALLER = (
+    "lower stage.refine.clip_frames, width or height, set stage.refine.offload=true, or use stage/refine=geometric"
+)
+
+
+def predict_z(z_t: Tensor, v: Tensor, alpha_bar: Tensor) -> Tensor:
+    """z_hat = sqrt(abar) z_t - sqrt(1 - abar) v, the clean latents that a velocity stands for.
+
+    The paper prints z_hat = sqrt(abar) z_t - v; with v = sqrt(abar) eps - sqrt(1 - abar) z only this one gives z back.
+    """
+    return alpha_bar.sqrt() * z_t - (1 - alpha_bar).sqrt() * v
+
+
+def weight(alpha_bar: Tensor) -> Tensor:
+    """w(t) = sqrt(abar (1 - abar)), in [0, 1/2]; the paper gives none.
+
+    z - z_hat = sqrt((1 - abar) / abar) (eps_hat - eps) grows without bound as abar falls to 0. With this weight
+    w (z - z_hat) = (1 - abar) (eps_hat - eps), DreamFusion's, which is bounded (Poole et al. 2022).
+    """
+    return (alpha_bar * (1 - alpha_bar)).sqrt()
+
+
+def latest_timestep(conf: VideoSDSConf, iteration: int) -> int:
+    """t_max(i): falls linearly from `t_max` to `t_max_end` in `t_max_iterations` and stays there."""
+    share = min(iteration / conf.t_max_iterations, 1.0) if conf.t_max_iterations else 1.0
+    return round(conf.t_max + share * (conf.t_max_end - conf.t_max))
+
+
+@dataclass(frozen=True)
+class Residual:
+    """One estimate of L_V-SDS."""
+
+    loss: Tensor
+    """0.5 w(t) |z - z_hat|^2, mean over the latents' entries; its gradient is the paper's but for that mean."""
+    size: float
+    """Root mean square of z - z_hat [-]."""
+
+
+def distil(z: Tensor, noise: Tensor, t: int, prior: VideoPrior, guidance: float, rescale: float = 0.0) -> Residual:
+    """L_V-SDS of clean latents z for one noise and timestep; z_hat is held constant, and so is the prior.
+
+    Raises:
+        RefineStopped: the prior's velocity is not finite.
+    """
+    alpha_bar = prior.alphas_cumprod[t].to(z)
+    with torch.no_grad():
+        z_t = alpha_bar.sqrt() * z + (1 - alpha_bar).sqrt() * noise
+        v = prior.velocity(z_t, t, guidance, rescale).to(z)
+        if not bool(v.isfinite().all()):
+            raise RefineStopped(f"the output of the video prior ({prior.name}) is not finite at t = {t}; {REMEDY}")
+        z_hat = predict_z(z_t, v, alpha_bar)
+    difference = z - z_hat
+    loss = 0.5 * weight(alpha_bar) * difference.square().mean()
+    return Residual(loss, float(difference.detach().square().mean().sqrt()))
+
+
+class Draws:
+    """The random streams of stage 3: viewpoints, timesteps and noise, so that none shifts another.
+
+    All on the CPU: every device draws the same.
+    """
+
+    def __init__(self, seed: int) -> None:
+        names = ("refine.viewpoint", "refine.timestep", "refine.noise")
+        self._viewpoint, self._timestep, self._noise = (
+            torch.Generator().manual_seed(stream_seed(seed, name)) for name in names
+        )
+
+    def viewpoint(self, count: int) -> int:
+        return int(torch.randint(count, (), generator=self._viewpoint))
+
+    def timestep(self, first: int, last: int) -> int:
+        """Uniform in first..last, both included."""
+        # A draw in [0, 1) rather than of integers, so that another range takes as much of the stream.
+        share = float(torch.rand((), generator=self._timestep, dtype=torch.float64))
+        return first + int(share * (last - first + 1))
+
+    def noise(self, like: Tensor) -> Tensor:
+        return torch.randn(like.shape, generator=self._noise).to(like)
+
+
+def video_sds(
+    scene: Scene,
+    motion: Motion,
+    trajectory: ObjectTrajectory,
+    window: Window,
+    config: Config,
+    device: torch.device | str,
+    stage: Stage,
+    enough: Callable[[Motion], bool] | None = None,
+) -> Motion:
+    """The motion with theta in the window refined by the video prior that the config names.
+
+    Args:
+        enough: whether a motion needs no more of it; None: all iterations are done.
+
+    Raises:
+        InputError: the prior cannot be loaded.
+        RefineStopped: as `refine_with`, or out of memory.
+    """
+    conf = config.stage.refine
+    assert isinstance(conf, VideoSDSConf)
+    try:
+        prior = load_video_prior(conf, device)
+        prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
+        return refine_with(prior, scene, motion, trajectory, window, conf, config.seed, device, stage, enough)
+    except (MemoryError, RuntimeError) as error:
+        if not _out_of_memory(error):
+            raise
+        reason = next(iter(str(error).splitlines()), "no more to be had")
+        raise RefineStopped(f"out of memory in stage 3: {reason}; {SMALLER}") from error
+
+
+def refine_with(
+    prior: VideoPrior,
+    scene: Scene,
+    motion: Motion,
+    trajectory: ObjectTrajectory,
+    window: Window,
+    conf: VideoSDSConf,
+    seed: int,
+    device: torch.device | str,
+    stage: Stage,
+    enough: Callable[[Motion], bool] | None = None,
+) -> Motion:
+    """`video_sds` with a prior that is ready. Each iteration looks from one viewpoint, at one noise level.
+
+    Raises:
+        RefineStopped: the prior's output or a gradient is not finite.
+    """
+    stage.notes.append(f"video prior: {prior.name}")
+    pose = WindowedPose(motion, window, device)
+    frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
+    clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
+    contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
+    views = viewpoints(clip, contact, conf.viewpoints, conf.elevation, conf.distance, prior.size)
+    if prior.sees_silhouettes and window.push is not None:
+        views = across(views, window.push.normal) or views
+    draws = Draws(seed)
+    rows = torch.tensor(window.frames, device=device)
+    other_losses = _other_losses(pose, scene, trajectory, conf, device)
+
+    optimiser = torch.optim.Adam([pose.offset], lr=conf.learning_rate)
+    for iteration in range(conf.iterations):
+        camera = views[draws.viewpoint(len(views))]
+        t = draws.timestep(conf.t_min, latest_timestep(conf, iteration))
+        z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
+        residual = distil(z, draws.noise(z), t, prior, conf.guidance, conf.guidance_rescale)
+        terms = {"sds": residual.loss.to(pose.offset), **other_losses()}
+        optimiser.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        if pose.offset.grad is None or not bool(pose.offset.grad.isfinite().all()):
+            raise RefineStopped(f"the gradient of Video-SDS is not finite at iteration {iteration}; {REMEDY}")
+        optimiser.step()
+        losses = {name: float(term.detach()) for name, term in terms.items()}
+        stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
+        if enough is not None and enough(pose.motion()):
+            stage.notes.append(f"enough after {iteration + 1} of {conf.iterations} iterations")
+            break
+    return pose.motion()
+
+
+def _other_losses(
+    pose: WindowedPose,
+    scene: Scene,
+    trajectory: ObjectTrajectory,
+    conf: VideoSDSConf,
+    device: torch.device | str,
+) -> Callable[[], dict[str, Tensor]]:
+    """What the config adds to Video-SDS, already weighted; nothing for the paper."""
+    meeting = meet(scene, pose.before, trajectory, pose.window) if conf.lambda_geometry else None
+    geometry = Geometry(meeting, conf, device) if meeting is not None else None
+
+    def others() -> dict[str, Tensor]:
+        terms = {"smooth": conf.lambda_smooth * pose.roughness()} if conf.lambda_smooth else {}
+        if geometry is not None:
+            terms |= {name: conf.lambda_geometry * term for name, term in geometry.terms(pose).items()}
+        return terms
+
+    return others
+
+
+def _out_of_memory(error: BaseException) -> bool:
+    """Whether memory ran out; of a CPU's, PyTorch says so in a RuntimeError's text alone."""
+    return isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error)

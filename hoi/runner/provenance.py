@@ -1,0 +1,86 @@
+"""What a record says of where it comes from: config hash, versions, device, input files."""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from hoi.config import Config, HMSDConf, VideoSDSConf
+
+PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
+NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
+"""Keys that do not change what is computed (of `seeds`: but for rounding)."""
+
+
+def config_hash(composed: DictConfig) -> str:
+    """sha256 over the resolved config and hoi's version."""
+    values: Any = OmegaConf.to_container(composed, resolve=True, enum_to_str=True)
+    kept = {key: value for key, value in values.items() if key not in NOT_HASHED}
+    text = json.dumps([version("hoi"), kept], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> dict[str, str]:
+    """Facts known before the run starts, as text."""
+    facts = {
+        "seed": str(config.seed),
+        "config_hash": config_hash(composed),
+        "overrides": " ".join(o for o in overrides if not o.startswith("out=")),
+        "scene": config.scene.name,
+        "ablation": config.ablation.value,
+        "experiment": config.experiment,
+        "git": git_state(),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpus": str(os.cpu_count()),
+        "threads": str(config.threads or os.cpu_count()),
+        "device": config.device.value,
+    }
+    facts.update({f"version.{name}": version(name) for name in PACKAGES})
+    motion, refine = config.stage.motion, config.stage.refine
+    human, skinning = config.human.path, config.human.skinning
+    if human is not None and Path(human).is_dir():  # an avatar's folder
+        human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"
+    inputs = {
+        "object.path": config.object.path,
+        "human.path": human,
+        "human.skinning": skinning,
+        "stage.motion.checkpoint": motion.checkpoint if isinstance(motion, HMSDConf) else None,
+        "stage.motion.path": motion.path if isinstance(motion, HMSDConf) else None,
+        "stage.refine.checkpoint": refine.checkpoint if isinstance(refine, VideoSDSConf) else None,
+    }
+    for name, path in inputs.items():
+        if path is not None and Path(path).exists():
+            facts[f"sha256.{name}"] = digest(Path(path))
+    return facts
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file's bytes; of a folder, of the relative paths and digests of its files, in order."""
+    if path.is_file():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    lines = [f"{digest(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def git_state() -> str:
+    """Commit of the checkout hoi runs from, with "+dirty" when it has changes; empty for an installed package."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return ""
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(root), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+    return git("rev-parse", "HEAD") + ("+dirty" if git("status", "--porcelain", "--untracked-files=no") else "")

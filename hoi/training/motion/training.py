@@ -1,0 +1,254 @@
+"""The training of a motion prior, of which `hoi.training.motion.train` is the command: data, optimiser, checkpoints."""
+
+import argparse
+import json
+import os
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hoi.errors import InputError
+from hoi.motion.diffusion import cosine_alphas_cumprod, q_sample
+from hoi.motion.mdm import Architecture, MotionDenoiser
+from hoi.motion.text import file_sha256, minilm
+from hoi.training.motion import deepmimic
+from hoi.training.motion.dataset import (
+    FPS,
+    HELD_OUT,
+    TrainingSet,
+    build_training_set,
+    is_held_out,
+    read_captions,
+    read_clips,
+    rest_joints_of,
+    with_knee_strikes,
+)
+from hoi.training.motion.losses import MotionLoss
+from hoi.training.motion.publish import publish
+
+STD_FLOOR = 0.005
+"""Features that hardly vary (wrists, the hips' offset) are not blown up to unit variance [m or -]."""
+
+
+def weighted_stats(values: Tensor, weights: Tensor, floor: float) -> tuple[Tensor, Tensor]:
+    """Mean and floored standard deviation of values (N, ..., F) with weights (N,) that sum to 1."""
+    flat = values.flatten(1, -2) if values.ndim > 2 else values[:, None]
+    mean = torch.einsum("n,nf->f", weights, flat.mean(1))
+    variance = torch.einsum("n,nf->f", weights, (flat - mean).square().mean(1))
+    return mean, variance.sqrt().clamp(min=floor)
+
+
+def write_atomically(path: Path, state: dict[str, Any]) -> None:
+    """torch.save beside the target, then rename."""
+    part = path.with_suffix(".part")
+    torch.save(state, part)
+    os.replace(part, path)
+
+
+class Training:
+    """The state of one training: denoiser, its moving average, optimiser, counters."""
+
+    def __init__(self, data: TrainingSet, options: argparse.Namespace):
+        torch.manual_seed(options.seed)
+        text = minilm().embed(data.captions)
+        architecture = Architecture(
+            features=data.features.shape[-1],
+            text_dim=text.shape[-1],
+            latent_dim=options.latent_dim,
+            ff_size=options.ff_size,
+            layers=options.layers,
+            heads=options.heads,
+        )
+        self.data, self.options = data, options
+        self.generator = torch.Generator().manual_seed(options.seed)
+        self.denoiser = MotionDenoiser(architecture, token_dropout=0.1)
+        self.average = MotionDenoiser(architecture).requires_grad_(False)
+        self.average.load_state_dict(self.denoiser.state_dict())
+        self.optimiser = torch.optim.AdamW(
+            self.denoiser.parameters(), lr=options.lr, betas=(0.9, 0.99), weight_decay=0.01, fused=True
+        )
+        self.alphas_cumprod = cosine_alphas_cumprod(options.timesteps)
+        self.raw_text = text
+        self.standardise(*weighted_stats(data.features, data.weights, STD_FLOOR), text.mean(0), text.std(0))
+        self.choice_count = torch.tensor([len(rows) for rows in data.caption_choices])
+        self.choices = torch.nn.utils.rnn.pad_sequence(
+            [torch.tensor(rows) for rows in data.caption_choices], batch_first=True
+        )
+        self.step, self.seconds = 0, 0.0
+
+    def standardise(self, mean: Tensor, std: Tensor, text_mean: Tensor, text_std: Tensor) -> None:
+        """Set the statistics and what is computed with them."""
+        self.mean, self.std, self.text_mean, self.text_std = mean, std, text_mean, text_std
+        self.features = (self.data.features - mean) / std
+        self.loss = MotionLoss(mean, std, self.data.rest_joints)
+        self.text = (self.raw_text - text_mean) / text_std
+
+    def progress(self) -> float:
+        """How much of the training is done, by steps or by time, whichever is further."""
+        done = self.step / self.options.steps
+        return max(done, self.seconds / (60 * self.options.minutes)) if self.options.minutes else done
+
+    def learning_rate(self) -> float:
+        """Linear warm-up, then half a cosine down to a hundredth."""
+        warm = min(1.0, (self.step + 1) / self.options.warmup)
+        cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, self.progress()) * torch.pi)).item())
+        return self.options.lr * warm * max(0.01, cosine)
+
+    def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """x0, noise, t and text of one batch; a tenth of the texts is empty."""
+        options, generator = self.options, self.generator
+        rows = torch.multinomial(self.data.weights, options.batch, replacement=True, generator=generator)
+        x0 = self.features[rows]
+        pick = (torch.rand(options.batch, generator=generator) * self.choice_count[rows]).long()
+        caption = self.choices[rows, pick]
+        caption[torch.rand(options.batch, generator=generator) < options.drop_text] = 0
+        text = self.text[caption]
+        text = text + options.text_noise * torch.randn(text.shape, generator=generator)
+        t = torch.randint(options.timesteps, (options.batch,), generator=generator)
+        return x0, torch.randn(x0.shape, generator=generator), t, text
+
+    def advance(self) -> float:
+        """One optimiser step; returns the MSE of the normalised x0, without the loss's other terms."""
+        x0, noise, t, text = self.batch()
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.learning_rate()
+        predicted = self.denoiser(q_sample(x0, t, noise, self.alphas_cumprod), t, text)
+        loss, plain = self.loss(predicted, x0, self.alphas_cumprod.to(x0)[t])
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.denoiser.parameters(), 1.0)
+        self.optimiser.step()
+        self.step += 1
+        decay = min(self.options.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for slow, fast in zip(self.average.parameters(), self.denoiser.parameters(), strict=True):
+                slow.lerp_(fast, 1 - decay)
+        return plain.item()
+
+    def state(self) -> dict[str, Any]:
+        """All that resuming and exporting need; plain tensors and numbers."""
+        return {
+            "denoiser": self.denoiser.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "generator": self.generator.get_state(),
+            "dropout_generator": torch.get_rng_state(),
+            "step": self.step,
+            "seconds": self.seconds,
+            "architecture": asdict(self.denoiser.architecture),
+            "mean": self.mean,
+            "std": self.std,
+            "text_mean": self.text_mean,
+            "text_std": self.text_std,
+            "rest_joints": self.data.rest_joints,
+            "timesteps": self.options.timesteps,
+            "fps": FPS,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a checkpoint of `state`, with its statistics even where the data has changed since."""
+        self.standardise(state["mean"], state["std"], state["text_mean"], state["text_std"])
+        self.denoiser.load_state_dict(state["denoiser"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.generator.set_state(state["generator"])
+        torch.set_rng_state(state["dropout_generator"])
+        self.step, self.seconds = state["step"], state["seconds"]
+
+    def run(self, out: Path) -> None:
+        """Train to the end; log and checkpoint on the way."""
+        begin, already = time.monotonic(), self.seconds
+        last_save, losses = begin, []
+        while self.progress() < 1:
+            losses.append(self.advance())
+            now = time.monotonic()
+            self.seconds = already + now - begin
+            if self.step % 50 == 0 or self.progress() >= 1:
+                row = {
+                    "step": self.step,
+                    "minutes": round(self.seconds / 60, 2),
+                    "loss": round(sum(losses) / len(losses), 5),
+                    "lr": round(self.learning_rate(), 7),
+                }
+                losses = []
+                with (out / "log.jsonl").open("a") as log:
+                    log.write(json.dumps(row) + "\n")
+            if now - last_save > 60 * self.options.save_minutes:
+                write_atomically(out / "checkpoint.pt", self.state())
+                last_save = now
+        write_atomically(out / "checkpoint.pt", self.state())
+
+
+def clip_files(folder: Path) -> list[Path]:
+    """The clip files of --data.
+
+    Raises:
+        InputError: there is none.
+    """
+    files = sorted(folder.glob("*.npz"))
+    if not files:
+        raise InputError(f"--data {folder}: holds no .npz clip file")
+    return files
+
+
+def read_split(folder: Path) -> tuple[TrainingSet, TrainingSet]:
+    """What priors are trained on and what is held out, of a folder of clip files.
+
+    Raises:
+        InputError: there is no clip file, or all or none of the clips is held out.
+    """
+    rest_joints, sentences = rest_joints_of(deepmimic.OFFSETS), read_captions(folder)
+    clips = with_knee_strikes([clip for file in clip_files(folder) for clip in read_clips(file)], rest_joints)
+    parts = [[clip for clip in clips if is_held_out(clip) is held_out] for held_out in (False, True)]
+    training, held_out = (build_training_set(part, rest_joints, sentences) for part in parts)
+    return training, held_out
+
+
+def read_data(options: argparse.Namespace) -> tuple[TrainingSet, dict[str, Any]]:
+    """The training set that the command line asks for, and what to say about it in training.json."""
+    clips, files = [], []
+    if options.data:
+        files = clip_files(options.data)
+        clips += [clip for file in files for clip in read_clips(file)]
+    if options.pybullet:
+        folder = deepmimic.clip_folder()
+        clips += deepmimic.read_clips(folder)
+        files += sorted(folder.glob("humanoid3d_*.txt"))
+    if not clips:
+        raise InputError("--data, --pybullet: give at least one of them")
+    rest_joints = rest_joints_of(deepmimic.OFFSETS)
+    clips = with_knee_strikes(clips, rest_joints)
+    training = [clip for clip in clips if not is_held_out(clip)]
+    data = build_training_set(training, rest_joints, read_captions(options.data))
+    return data, {
+        "clips": len(training),
+        "held_out": {"clips": len(clips) - len(training), "names_begin_with": HELD_OUT},
+        "windows": data.summary,
+        "data": {file.name: file_sha256(file) for file in files},
+    }
+
+
+def train(options: argparse.Namespace, command: str) -> None:
+    """The whole of it: data, training, publication.
+
+    Raises:
+        InputError: no data, or nothing to resume from.
+    """
+    torch.set_num_threads(options.threads)
+    checkpoint = options.out / "checkpoint.pt"
+    if options.resume and not checkpoint.is_file():
+        raise InputError(f"--resume: {checkpoint} does not exist")
+    data, facts = read_data(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    if not options.resume:
+        (options.out / "log.jsonl").unlink(missing_ok=True)
+    training = Training(data, options)
+    if options.resume:
+        training.restore(torch.load(checkpoint, weights_only=True))
+    training.run(options.out)
+    facts |= {"command": command, "hardware": options.hardware or f"{options.threads} CPU threads"}
+    publish(training.state(), facts, options.out)
