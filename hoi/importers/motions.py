@@ -9,7 +9,6 @@ import torch
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import rotation_to_6d
 from hoi.body.skinning import joint_paths, stand_motion
-from hoi.config import UpAxis
 from hoi.data import Array, Body, Motion
 from hoi.errors import InputError
 from hoi.importers.amass import read_amass
@@ -22,7 +21,7 @@ Y_TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def read_motion(
-    path: Path, body: Body, frames: int, fps: float, start_time: float = 0.0, up: UpAxis = UpAxis.auto
+    path: Path, body: Body, frames: int, fps: float, start_time: float = 0.0, up: str = "auto"
 ) -> tuple[Motion, tuple[str, ...]]:
     """Read a motion file for a scene.
 
@@ -52,8 +51,8 @@ def read_motion(
     if not 0 <= start_time <= length:
         rule = f"in [0, {length:g}] s, which {path} lasts"
         raise InputError(f"stage.motion.start_time must be {rule}, got {start_time:g}")
-    axis = _up_axis(local[:, 0], path) if up is UpAxis.auto else up
-    if axis is UpAxis.y:
+    axis = _up_axis(local[:, 0], path) if up == "auto" else up
+    if axis == "y":
         local[:, 0], translation = Y_TO_Z_UP @ local[:, 0], translation @ Y_TO_Z_UP.T
     whole = _motion(local, translation, rate)
     ground = joint_paths(body, whole)[int(start_time * rate) :, :, 2].min() - sole_height(body)
@@ -86,11 +85,11 @@ def _from_bvh(path: Path, body: Body) -> tuple[Array, Array, float, tuple[str, .
     return local, translation, recording.fps, (f"joints not used: {', '.join(unused)}",) if unused else ()
 
 
-def _up_axis(root: Array, path: Path) -> UpAxis:
+def _up_axis(root: Array, path: Path) -> str:
     _, y, z = root[:, :, 1].mean(axis=0)
     if max(y, z) < 0.3 or abs(y - z) < 0.1:
         raise InputError(f"stage.motion.up: cannot tell the up axis of {path}; say stage.motion.up=y or z")
-    return UpAxis.y if y > z else UpAxis.z
+    return "y" if y > z else "z"
 
 
 def _motion(local: Array, translation: Array, fps: float) -> Motion:

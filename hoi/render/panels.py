@@ -17,7 +17,7 @@ from hoi.render.film import choose_frames, film
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
 from hoi.render.rasterise import Backend
 from hoi.render.replay import Replay, replay
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
 
 TURN = 100
 """Viewpoints around a moment that is frozen: the paper's."""

@@ -56,14 +56,15 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
                 print(f"{video}: its video")
         if not to_do:
             return records
-        from hoi.runner.pipeline import Job, run
+        from hoi.runner.jobs import Job, run
+        from hoi.runner.progress import bar
 
         jobs = [Job(*each) for each in to_do]
-        run(jobs, plan)
-    for job in jobs:
-        print(f"recorded {job.path}")
+        run(jobs, plan, bar)
+    for _, path, *_ in to_do:
+        print(f"recorded {path}")
         if plan.keeps("render"):
-            print(f"filmed {job.path.with_suffix('.mp4')}")
+            print(f"filmed {path.with_suffix('.mp4')}")
     return records
 
 

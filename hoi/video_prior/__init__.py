@@ -6,10 +6,7 @@ timesteps t = 0 .. 999 for every prior.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
-
-from hoi.config import VideoSDSConf
-from hoi.config.choices import VideoPriorKind
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     import torch
@@ -77,13 +74,13 @@ class VideoPrior(Protocol):
         ...
 
 
-def load_video_prior(conf: VideoSDSConf, device: torch.device | str) -> VideoPrior:
+def load_video_prior(conf: Any, device: torch.device | str) -> VideoPrior:
     """The prior that the config names.
 
     Raises:
         InputError: weights or a package are missing, or are another model's; one line with the remedy.
     """
-    if conf.prior is VideoPriorKind.cogvideox:
+    if conf.prior == "cogvideox":
         from hoi.video_prior.cogvideox import load_cogvideox
 
         return load_cogvideox(conf, device)

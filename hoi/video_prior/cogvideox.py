@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from hoi.config import VideoSDSConf
 from hoi.errors import InputError
 from hoi.motion.diffusion import guide
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
@@ -57,7 +56,7 @@ class CogVideoX:
     crop = None
     sees_silhouettes = False
 
-    def __init__(self, files: Files, conf: VideoSDSConf, device: torch.device | str) -> None:
+    def __init__(self, files: Files, conf: Any, device: torch.device | str) -> None:
         self.name = f"CogVideoX, {files.folder}"
         self.size = (conf.height, conf.width)
         self._files, self._device = files, torch.device(device)
@@ -144,7 +143,7 @@ class CogVideoX:
         return guide(without, with_text, guidance, rescale)
 
 
-def load_cogvideox(conf: VideoSDSConf, device: torch.device | str) -> CogVideoX:
+def load_cogvideox(conf: Any, device: torch.device | str) -> CogVideoX:
     """CogVideoX from `conf.checkpoint`: a folder, or the name of a model that has been downloaded from the hub.
 
     Raises:

@@ -2,8 +2,8 @@
 
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from hoi.config import VideoPriorKind, VideoSDSConf
 from hoi.errors import InputError
 
 VIDEO_PRIOR_NAME = "video_prior.safetensors"
@@ -16,14 +16,14 @@ COGVIDEOX_SIZE = "21 GB (transformer 11.1, T5 9.5, VAE 0.4)"
 WITHOUT = "stage/refine=geometric runs without a video prior"
 
 
-def check_video_prior(conf: VideoSDSConf) -> None:
+def check_video_prior(conf: Any) -> None:
     """Nothing, when the weights that `conf` names are there.
 
     Raises:
         InputError: one line with the model, where its weights are expected, how large the download is, and the config
             that runs without them.
     """
-    if conf.prior is VideoPriorKind.embedded:
+    if conf.prior == "embedded":
         embedded_video_prior(conf.checkpoint)
         return
     assert conf.checkpoint is not None  # checked by `validate`
