@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -95,8 +96,8 @@ def genesis_row(particles: int, peer: str) -> dict[str, float | str]:
     Raises:
         InputError: it failed there.
     """
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    code = f"import json; from analysis import mpm_bench as b; print(json.dumps(b.measure_genesis({particles})))"
+    root = Path(__file__).parents[len((__package__ or "").split("."))]
+    code = f"import json; from {__package__} import mpm_bench as b; print(json.dumps(b.measure_genesis({particles})))"
     done = subprocess.run([peer, "-c", code], cwd=root, capture_output=True, text=True)
     if done.returncode != 0:
         raise InputError(f"--peer {peer}: Genesis failed there: {done.stderr.strip().splitlines()[-1:]}")

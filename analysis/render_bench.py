@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Row = dict[str, float | str]
 WARM_UP = 3
 WIDTH, HEIGHT = 720, 480
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[len((__package__ or "").split("."))]
 
 
 def milliseconds(step: Callable[[], object], turns: int) -> dict[str, float | str]:
@@ -130,8 +130,9 @@ def peak_growth(count: int, gradients: bool) -> float:
     """Bytes, in this process; nan where /proc does not tell. The cloud and the compiled kernels do not count."""
     import torch
 
-    from analysis.splat_scenes import camera_on, synthetic_cloud
     from hoi.render.rasterise import rasterise
+
+    from .splat_scenes import camera_on, synthetic_cloud
 
     torch.set_num_threads(1)
 
@@ -216,7 +217,7 @@ def gsplat_projection(path: str, width: int, height: int, threads: int, turns: i
 
 def _in_process(python: str, call: str, what: str, environment: dict[str, str] | None = None) -> Any:
     """What a function of this module returns in a process of its own."""
-    code = f"import json; from analysis import render_bench as b; print(json.dumps(b.{call}))"
+    code = f"import json; from {__package__} import render_bench as b; print(json.dumps(b.{call}))"
     done = subprocess.run(
         [python, "-c", code], cwd=ROOT, capture_output=True, text=True, env=os.environ | (environment or {})
     )
@@ -236,8 +237,9 @@ def measure_all(arguments: argparse.Namespace) -> list[Row]:
     """
     import torch
 
-    from analysis.splat_scenes import as_type, camera_on, cloud_of_file, default_parts, synthetic_cloud, torch_threads
     from hoi.render.splats import join
+
+    from .splat_scenes import as_type, camera_on, cloud_of_file, default_parts, synthetic_cloud, torch_threads
 
     on_gpu = arguments.device == "cuda"
     if on_gpu and not torch.cuda.is_available():
@@ -300,7 +302,7 @@ def main() -> None:
         sys.exit(2)
     if arguments.device == "cpu" and arguments.peer is None:
         print("gsplat is not installed here; --peer PYTHON names an interpreter that has it")
-    from analysis.precision.report import facts
+    from .precision.report import facts
 
     print(*(f"{name}: {value}" for name, value in facts(1).items() if name != "threads"), sep="; ")
     print(f"pictures of {WIDTH} x {HEIGHT}, {arguments.turns} of each")

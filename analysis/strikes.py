@@ -67,8 +67,9 @@ def judged(
     """Medians over the seeds, and the share of strikes with the named limb; on the prior's own skeleton."""
     import torch
 
-    from analysis.motion import measures
     from hoi.method.hmsd import PoseParameters
+
+    from .motion import measures
 
     pose = PoseParameters.of(motions)
     with torch.no_grad():
@@ -99,13 +100,14 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     import pandas as pd
     import torch
 
-    from analysis.reach import config_of, quiet
     from hoi.body.skinning import joint_paths
     from hoi.method import movers
     from hoi.method.coordination import coordinate, meet
     from hoi.method.scene import build_scene
     from hoi.method.synthesis import load_distillation, synthesise
     from hoi.motion.evaluator import load_evaluator
+
+    from .reach import config_of, quiet
 
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:
@@ -147,7 +149,7 @@ def main() -> int:
     options = parser.parse_args()
     import torch
 
-    from analysis.precision.report import facts, markdown_list, markdown_table
+    from .precision.report import facts, markdown_list, markdown_table
 
     try:
         table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])

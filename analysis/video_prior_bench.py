@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> None:
     arguments = parser.parse_args(argv)
     import torch
 
-    from analysis.video_prior_cost import FULL, LENGTHS, SCALED, RandomWeights, count, measure, with_share
+    from .video_prior_cost import FULL, LENGTHS, SCALED, RandomWeights, count, measure, with_share
 
     lengths = arguments.frames or LENGTHS
     height, width = (480, 720) if arguments.full else (96, 144)

@@ -12,8 +12,6 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from analysis.baseline.clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
-from analysis.baseline.replay import replayed
 from hoi.config import CONF, Ablation, Config, ImpulseConf, VideoConf, register
 from hoi.config.validate import to_config
 from hoi.data import Plan, Run, Step
@@ -25,6 +23,9 @@ from hoi.runner.execute import RECORD, already_there
 from hoi.runner.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
 from hoi.runner.progress import Stages
 from hoi.runner.provenance import provenance
+
+from .clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
+from .replay import replayed
 
 VARIANT, EXPERIMENT = "kinematic replay", "baseline"
 OUT = "runs/${scene.name}/baseline/kinematic_replay/s${seed}"

@@ -11,10 +11,6 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from analysis.ingest import meshes
-from analysis.ingest.contact import centre_of_mass_path, find_contact, velocity
-from analysis.ingest.points import SKIN_POINTS, in_our_world, object_of, tracked_points, triangle_areas
-from analysis.ingest.videos import read_video
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.config import CONF, Ablation, Config, ImpulseConf, register
 from hoi.config.validate import to_config
@@ -25,6 +21,11 @@ from hoi.plan import format_plan, material_of
 from hoi.record import write
 from hoi.render.encode import write_mp4
 from hoi.runner.provenance import provenance
+
+from . import meshes
+from .contact import centre_of_mass_path, find_contact, velocity
+from .points import SKIN_POINTS, in_our_world, object_of, tracked_points, triangle_areas
+from .videos import read_video
 
 EXPERIMENT = "baseline"
 PHASE = "ingested"

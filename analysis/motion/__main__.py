@@ -46,8 +46,8 @@ def main() -> int:
     options = parser().parse_args()
     import torch
 
-    from analysis.motion.compare import study
-    from analysis.motion.report import write
+    from .compare import study
+    from .report import write
 
     torch.set_num_threads(options.threads)
     try:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.precision.report import facts, markdown_list, markdown_table
+from ..precision.report import facts, markdown_list, markdown_table
 
 
 def write(folder: Path, table: pd.DataFrame, strikes: pd.DataFrame, options: argparse.Namespace) -> list[Path]:

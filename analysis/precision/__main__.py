@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, NoReturn
 from hoi.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from analysis.precision.pictures import View
-    from analysis.precision.problems import Problem
+    from .pictures import View
+    from .problems import Problem
 
 DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
@@ -58,9 +58,9 @@ def main() -> None:
 
 
 def _study(arguments: argparse.Namespace) -> None:
-    from analysis.precision.pictures import VIEWS
-    from analysis.precision.problems import EXACT
-    from analysis.precision.scenes import SCENES
+    from .pictures import VIEWS
+    from .problems import EXACT
+    from .scenes import SCENES
 
     cores = os.cpu_count() or 1
     if arguments.repeats < 1:
@@ -87,7 +87,7 @@ def _study(arguments: argparse.Namespace) -> None:
 
 
 def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: int) -> None:
-    from analysis.precision import convergence, report, run
+    from . import convergence, report, run
 
     began = time.perf_counter()
     orders = convergence.manufactured(arguments.quick) if "waves" in [problem.name for problem in problems] else []
@@ -103,7 +103,7 @@ def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: in
 
 
 def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
-    from analysis.precision import picture_report, pictures, report
+    from . import picture_report, pictures, report
 
     began = time.perf_counter()
     table, off, truths = pictures.study(
@@ -117,7 +117,7 @@ def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
 
 
 def _contacts(arguments: argparse.Namespace) -> None:
-    from analysis.precision import contact_report, contacts, report
+    from . import contact_report, contacts, report
 
     began = time.perf_counter()
     scenes, seeds = (
@@ -126,7 +126,7 @@ def _contacts(arguments: argparse.Namespace) -> None:
     table = contacts.study(arguments.out / STARTS, scenes, seeds, arguments.threads, arguments.quick)
     paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
     if not arguments.quick:
-        from analysis.precision import closeups
+        from . import closeups
 
         shown = contacts.starts(arguments.out / STARTS, closeups.SCENES, seeds, arguments.threads)
         first = [start for start in shown if start.setting == "paper" and start.seed == 0]

@@ -12,9 +12,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from analysis.precision.contacts import Start, Way
-from analysis.precision.report import INK, MUTED
-from analysis.reach import config_of, quiet
 from hoi.data import Array, Motion
 from hoi.method.refine_stage import refine
 from hoi.refine.views import Framing, background, viewpoint
@@ -22,6 +19,10 @@ from hoi.render.cameras import Camera
 from hoi.render.rasterise import rasterise
 from hoi.render.replay import replay
 from hoi.render.splats import join
+
+from ..reach import config_of, quiet
+from .contacts import Start, Way
+from .report import INK, MUTED
 
 SCENES = ("kick_soccer_ball", "punch_blue_ball", "jab_beach_ball")
 WAYS = ("geometric, 60 iterations", "embedded", "embedded + geometric")

@@ -10,8 +10,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from analysis.precision.errors import pareto_front
-from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
+from .errors import pareto_front
+from .report import GRID, INK, MUTED, markdown_list, markdown_table
 
 KINDS = {
     "none": ("#22262b", "o"),

@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 import torch
 
-from analysis.reach import config_of, quiet
 from hoi.config import Config, HMSDConf
 from hoi.data import Motion, Run
 from hoi.errors import RunError
@@ -26,6 +25,8 @@ from hoi.method.synthesis import load_distillation
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.prior import load_prior
 from hoi.record import read
+
+from ..reach import config_of, quiet
 
 SETTINGS = {
     "laptop": (),

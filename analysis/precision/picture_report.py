@@ -14,9 +14,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from analysis.precision.pictures import COVERED, REFERENCE_SHARE, View
-from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
 from hoi.render.splats import Picture
+
+from .pictures import COVERED, REFERENCE_SHARE, View
+from .report import GRID, INK, MUTED, markdown_list, markdown_table
 
 KINDS = {
     "harmonics": ("#2f855a", "^", "SH degree", "right"),

@@ -13,13 +13,14 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from analysis.precision.errors import pareto_front
-from analysis.precision.run import GAIN, clock
-from analysis.splat_scenes import PERSON_GAUSSIANS, as_type, camera_on, default_parts, synthetic_cloud, torch_threads
 from hoi.compute import Precision
 from hoi.render.cameras import HEIGHT, WIDTH, Camera
 from hoi.render.rasterise import Settings, rasterise
 from hoi.render.splats import Picture, Splats, join, sh_degree
+
+from ..splat_scenes import PERSON_GAUSSIANS, as_type, camera_on, default_parts, synthetic_cloud, torch_threads
+from .errors import pareto_front
+from .run import GAIN, clock
 
 DEFAULT = Settings()
 NOTHING_LEFT_OUT = Settings(least_alpha=1e-12, least_transmittance=0.0, exact=True)

@@ -16,10 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from analysis.precision.convergence import Order
-from analysis.precision.problems import Problem
-from analysis.precision.run import STAND_INS
 from hoi.runner.provenance import git_state
+
+from .convergence import Order
+from .problems import Problem
+from .run import STAND_INS
 
 INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
 KINDS = {

@@ -9,9 +9,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from analysis.precision.bodies import vibration_tolerance
-from analysis.precision.errors import compare, pareto_front, probe_weights
-from analysis.precision.problems import FIELDS, Observed, Problem, picked
 from hoi.compute import Precision
 from hoi.data import Array, ObjectState
 from hoi.errors import RunError
@@ -20,6 +17,10 @@ from hoi.mpm.rigid import Flight, fit
 from hoi.mpm.solver import Simulation, Spline
 from hoi.mpm.stability import DEFAULT_FRACTION
 from hoi.mpm.state import centre_of_mass
+
+from .bodies import vibration_tolerance
+from .errors import compare, pareto_front, probe_weights
+from .problems import FIELDS, Observed, Problem, picked
 
 SHORT = 1.0
 """A run is repeated, for the median of its times, unless it takes longer than this [s]."""

@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from analysis.stability.cases import CASES, Case, quick
-from analysis.stability.verdict import Verdict
 from hoi.errors import InputError
+
+from .cases import CASES, Case, quick
+from .verdict import Verdict
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +59,7 @@ def _selected(family: str | None, only_quick: bool) -> list[Case]:
 
 
 def _one(name: str) -> int:
-    from analysis.stability.workers import verdict_of
+    from .workers import verdict_of
 
     if name not in CASES:
         raise InputError(f"--case must be the id of a case, see the first column of stability.csv, got {name!r}")
@@ -72,8 +73,8 @@ def _one(name: str) -> int:
 def _all(cases: list[Case], jobs: int, folder: Path) -> int:
     import pandas as pd
 
-    from analysis.stability.chart import draw
-    from analysis.stability.workers import run_all
+    from .chart import draw
+    from .workers import run_all
 
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()

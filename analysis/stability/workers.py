@@ -9,9 +9,9 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from itertools import groupby
 
-from analysis.stability.cases import Case
-from analysis.stability.trial import attempt
-from analysis.stability.verdict import Verdict, judge
+from .cases import Case
+from .trial import attempt
+from .verdict import Verdict, judge
 
 TIME_LIMIT = 120.0
 """A case that has not come back by then has hung [s]."""
