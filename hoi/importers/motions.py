@@ -62,7 +62,7 @@ def read_motion(
     piece = interpolate_motion(whole, np.minimum(wanted, len(whole) - 1))
     held = int((wanted > len(whole) - 1 + 1e-6).sum())
     placed = _from_origin_facing_plus_y(piece, fps)
-    seconds = f"{path.name}: {len(whole)} frames at {rate:g} Hz, {axis.value} up"
+    seconds = f"{path.name}: {len(whole)} frames at {rate:g} Hz, {axis} up"
     used = f"from {start_time:g} s on" + (f", its last pose held for {held} of {frames} frames" if held else "")
     return placed, (f"{seconds}; {used}", *notes)
 

@@ -16,22 +16,11 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, register
+from hoi.config.compose import one_line
 from hoi.errors import InputError, RunError
 from hoi.runner.execute import execute, what_next
 from hoi.runner.interrupt import interruptible
 from hoi.runner.sweep import Ended, run_of_sweep
-
-
-def one_line(error: BaseException) -> str:
-    """Hydra's and OmegaConf's messages without their stack of context lines."""
-    message = str(error).partition("Config search path")[0]
-    lines = [line.strip() for line in message.splitlines() if line.strip()]
-    cause = error.__cause__ or error.__context__
-    if isinstance(error, HydraException) and isinstance(cause, OmegaConfBaseException):
-        return one_line(cause)
-    key = getattr(error, "full_key", None)
-    text = " ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
-    return f"{key}: {text}" if key and key not in text else text
 
 
 def main() -> None:

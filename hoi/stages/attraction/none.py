@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.stages.contract import Attraction, Draft, option
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class NoAttraction(Attraction):
     """None: stage 2 runs on the motion prior alone."""
 
-    stands_for = {"no_attraction": "the attraction"}
+    stands_for: ClassVar[dict[str, str]] = {"no_attraction": "the attraction"}
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("no_attraction")

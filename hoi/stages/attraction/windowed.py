@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from omegaconf import MISSING
 
@@ -27,7 +27,7 @@ class AttractionTarget(StrEnum):
 class Windowed(Attraction):
     """The windowed attraction loss."""
 
-    stands_for = {"no_attraction": "the attraction"}
+    stands_for: ClassVar[dict[str, str]] = {"no_attraction": "the attraction"}
 
     lambda_attr: float = MISSING
     """Of L_attr [-]."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.stages.contract import ContactModel, Draft, option
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class NoContact(ContactModel):
     """None looked for: the object keeps its free motion."""
 
-    stands_for = {"no_contact": "the contact"}
+    stands_for: ClassVar[dict[str, str]] = {"no_contact": "the contact"}
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("no_contact")

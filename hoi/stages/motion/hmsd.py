@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from omegaconf import MISSING
 
@@ -51,7 +51,7 @@ STARTS = {
 class HMSD(MotionSource):
     """Human motion score distillation."""
 
-    stands_for = {"no_mdm": "the motion prior", "motion_from_file": "the motion from the sentence"}
+    stands_for: ClassVar[dict[str, str]] = {"no_mdm": "the motion prior", "motion_from_file": "the motion from the sentence"}
 
     checkpoint: str | None = None
     """The motion prior: null for the one in the package, or a file or folder."""

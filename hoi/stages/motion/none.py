@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Motion, Scene, Target
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class NoMotion(MotionSource):
     """None: the person stands until stage 2 moves them."""
 
-    stands_for = {"no_mdm": "the motion prior"}
+    stands_for: ClassVar[dict[str, str]] = {"no_mdm": "the motion prior"}
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("no_mdm")

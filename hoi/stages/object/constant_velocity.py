@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.stages.contract import Draft, ObjectMover, option
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class ConstantVelocity(ObjectMover):
     """Straight lines: no gravity, no deformation."""
 
-    stands_for = {"no_mpm": "the MPM"}
+    stands_for: ClassVar[dict[str, str]] = {"no_mpm": "the MPM"}
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("no_mpm")

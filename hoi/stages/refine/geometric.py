@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.stages.contract import Draft, option
 from hoi.stages.refine import WindowedRefinement
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Geometric(WindowedRefinement):
     """No prior: the limb out of the object and its skin at the surface."""
 
-    stands_for = {"geometric": "Video-SDS in stage 3"}  # not w/o Video-SDS, where stage 2 is final
+    stands_for: ClassVar[dict[str, str]] = {"geometric": "Video-SDS in stage 3"}  # not w/o Video-SDS, where stage 2 is final
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("geometric")

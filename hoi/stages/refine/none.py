@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from hoi.stages.contract import Draft, Refinement, option
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class NoRefinement(Refinement):
     """None: the output of stage 2 is final."""
 
-    stands_for = {"no_video_sds": "stage 3"}
+    stands_for: ClassVar[dict[str, str]] = {"no_video_sds": "stage 3"}
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("no_video_sds")
