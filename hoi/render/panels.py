@@ -1,23 +1,22 @@
 """Runs and views side by side in one clock: what is seen, and its video or filmstrip."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hoi import record
-from hoi.data import Array, Run
+from hoi.data import Array, Camera, Run
 from hoi.errors import InputError
-from hoi.render.cameras import TOP_UP, VIEWS, Camera, circle, frame_action
+from hoi.render import Backend
+from hoi.render.cameras import TOP_UP, VIEWS, circle, frame_action
 from hoi.render.cameras import view as view_of
 from hoi.render.encode import check_fps, encode, write_mp4, write_png
 from hoi.render.film import choose_frames, film
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
-from hoi.render.rasterise import Backend
 from hoi.render.replay import Replay, replay
-from hoi.runner.progress import Stages
 
 TURN = 100
 """Viewpoints around a moment that is frozen: the paper's."""
@@ -131,8 +130,14 @@ def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pix
         yield list(row)
 
 
-def make_video(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing = Drawing()) -> None:
-    """Draw the panels side by side and write an MP4.
+def make_video(
+    panels: Sequence[Panel],
+    clock: Clock,
+    path: Path,
+    how: Drawing = Drawing(),
+    drawn: Callable[[], object] = lambda: None,
+) -> None:
+    """Draw the panels side by side and write an MP4; `drawn` is called after each picture.
 
     Raises:
         InputError: the path cannot be written to.
@@ -140,10 +145,9 @@ def make_video(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing =
     """
 
     def composed() -> Iterator[Pixels]:
-        with Stages().stage("video", len(clock.times)) as stage:
-            for time, row in zip(clock.times, rows_of_pictures(panels, how), strict=True):
-                yield tile(_labelled(row, panels, time) if len(panels) > 1 else row, columns_for(len(panels)))
-                stage.advance()
+        for time, row in zip(clock.times, rows_of_pictures(panels, how), strict=True):
+            yield tile(_labelled(row, panels, time) if len(panels) > 1 else row, columns_for(len(panels)))
+            drawn()
 
     write_mp4(encode(composed(), clock.fps), path)
 
