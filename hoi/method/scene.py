@@ -9,7 +9,7 @@ import numpy as np
 from hoi.body.skeleton import PARENTS
 from hoi.config import Config, HumanConf, HumanKind, MPMConf, ObjectKind, PlaneContact, SceneConf
 from hoi.data import Array, Body, Motion, Plane, Scene, SceneObject
-from hoi.errors import InputError
+from hoi.errors import InputError, under
 from hoi.plan import approaches, cell_size, materials_of
 
 PARTICLES_PER_CELL = 4
@@ -99,7 +99,8 @@ def load_object(config: Config) -> SceneObject:
     )
     boxes = [region.box for region in conf.regions]
     regions = [Region(np.array(b.centre), np.array(b.half_size), m) for b, m in zip(boxes, others, strict=True)]
-    region = region_of(loaded.particles, loaded.size, regions)
+    with under("object"):
+        region = region_of(loaded.particles, loaded.size, regions)
     return replace(placed, other_materials=tuple(others), region=region)
 
 

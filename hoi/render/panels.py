@@ -9,7 +9,7 @@ import numpy as np
 
 from hoi import record
 from hoi.data import Array, Camera, Run
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.render import Backend
 from hoi.render.cameras import TOP_UP, VIEWS, circle, frame_action
 from hoi.render.cameras import view as view_of
@@ -67,10 +67,8 @@ def make_clock(replays: Sequence[Replay], frames: slice, speed: float, freeze: i
     shown = list(range(count))[frames] if freeze is None else [freeze] * TURN
     if not shown:
         raise InputError(f"--frames: none of the frames 0 to {count - 1} is left")
-    try:
+    with about(f"--speed {speed:g}"):
         played = check_fps(fps * speed)
-    except InputError as error:
-        raise InputError(f"--speed {speed:g}: {error}") from None
     return Clock([frame / fps for frame in shown], float(played))
 
 
@@ -198,7 +196,5 @@ def load(path: Path, device: str) -> Replay:
         InputError: as `hoi.record.read`, or it has nothing to show.
     """
     run = record.read(path)
-    try:
+    with about(path):
         return replay(run, device)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

@@ -27,7 +27,7 @@ from hoi.config import (
     WindowConf,
 )
 from hoi.data import Array, Motion, Plan, Run, Scene, StageReport, State
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError, RunError, under
 from hoi.gaussians import colours
 from hoi.method import movers
 from hoi.method.contact import find_contact
@@ -294,10 +294,8 @@ def check_renderer(conf: RenderConf) -> None:
     if isinstance(conf, VideoConf) and conf.backend is RenderBackend.gsplat:
         from hoi.render.gsplat_backend import load_gsplat
 
-        try:
+        with under("render"):
             load_gsplat()
-        except InputError as error:
-            raise InputError(f"render.{error}") from None
 
 
 def outcome(config: Config, state: State, reports: Sequence[StageReport]) -> str:
