@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hoi.errors import InputError
+
 Array = NDArray[np.floating[Any]]
 
 
@@ -166,6 +168,57 @@ class Scene:
     """[m/s^2], shape (3,)."""
     planes: tuple[Plane, ...] = ()
     """What the object cannot enter: the ground first, then walls."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole. Axes as OpenCV's: x right, y down, z forward; the middle of the first pixel is (0.5, 0.5).
+
+    Two cameras are equal only when they are the same object.
+
+    Raises:
+        InputError: a size, focal length or near plane is not positive, or the pose is not rigid.
+    """
+
+    width: int
+    height: int
+    fx: float
+    """[pixel]"""
+    fy: float
+    cx: float
+    """[pixel]"""
+    cy: float
+    world_to_camera: Array
+    """Rigid, (4, 4), float64."""
+    near: float = 0.01
+    """What is closer is not drawn [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if not isinstance(size, int) or size < 1:
+                raise InputError(f"camera {name} {size!r}: a whole number of pixels from 1 is allowed")
+        for name in ("fx", "fy", "near"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"camera {name} {value:g}: a positive number is allowed")
+        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
+            raise InputError(f"camera centre ({self.cx:g}, {self.cy:g}): finite numbers are allowed")
+        pose = self.world_to_camera
+        rigid = pose.shape == (4, 4) and np.isfinite(pose).all() and np.array_equal(pose[3], (0, 0, 0, 1))
+        turn = pose[:3, :3]
+        if not rigid or abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
+            raise InputError("camera world_to_camera: a rigid 4 x 4 matrix is allowed (rotation, translation, 0 0 0 1)")
+
+    @property
+    def position(self) -> Array:
+        """In the world [m], (3,)."""
+        return -self.world_to_camera[:3, 3] @ self.world_to_camera[:3, :3]
+
+    @property
+    def forward(self) -> Array:
+        """Unit axis of view in the world, (3,)."""
+        return self.world_to_camera[2, :3].copy()
 
 
 @dataclass(frozen=True)

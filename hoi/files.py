@@ -1,5 +1,6 @@
 """Files and folders written whole or not at all."""
 
+import errno
 import os
 import re
 import shutil
@@ -9,26 +10,29 @@ from pathlib import Path
 
 from hoi.errors import InputError, RunError
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Errors that are the disk's, and not those of the path."""
+
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, remedy: str = "", elsewhere: str = "write elsewhere") -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when the block ends well and is removed when not.
+
+    Args:
+        remedy: what a path that cannot be written to is told.
+        elsewhere: what else a full disk is told.
 
     Raises:
         InputError: the path cannot be written to.
         RunError: the disk is full or broken.
     """
     part = path.with_name(path.name + ".part")
-    try:
+    with _writing(path, remedy, elsewhere):
         try:
             yield part
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
-    except OSError as error:  # PyAV's errors of the system are OSErrors too
-        if isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | IsADirectoryError):
-            raise InputError(f"cannot write {path}: {error.strerror}") from error
-        raise RunError(f"cannot write {path}: {error.strerror}; free some space or write elsewhere") from error
 
 
 @contextmanager
@@ -43,7 +47,7 @@ def whole_folder(path: Path, ours: str) -> Iterator[Path]:
         RunError: the disk is full or broken.
     """
     part, old = path.with_name(f".{path.name}.part"), path.with_name(f".{path.name}.old")
-    try:
+    with _writing(path):
         if old.exists() and not path.exists():  # another run was killed between the two names
             old.rename(path)
         there = [entry.name for entry in path.iterdir()] if path.exists() else []
@@ -62,7 +66,13 @@ def whole_folder(path: Path, ours: str) -> Iterator[Path]:
             if old.exists() and not path.exists():
                 old.rename(path)
             shutil.rmtree(part, ignore_errors=True)
-    except OSError as error:
-        if isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | FileExistsError):
-            raise InputError(f"cannot write {path}: {error.strerror}") from error
-        raise RunError(f"cannot write {path}: {error.strerror}; free some space or write elsewhere") from error
+
+
+@contextmanager
+def _writing(path: Path, remedy: str = "", elsewhere: str = "write elsewhere") -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:  # PyAV's errors of the system are OSErrors too
+        if error.errno in FULL:
+            raise RunError(f"cannot write {path}: {error.strerror}; free some space or {elsewhere}") from error
+        raise InputError(f"cannot write {path}: {error.strerror}{remedy}") from error

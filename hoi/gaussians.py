@@ -332,14 +332,9 @@ def transform(
     )
 
 
-def deformed_covariances(cloud: GaussianCloud, deformation_gradient: Array) -> Array:
-    """F Sigma F^T [m^2], (N, 3, 3), of F (N, 3, 3) (PhysGaussian's kinematics, used by the paper)."""
-    root = deformation_gradient @ (rotation_matrices(cloud) * cloud.scales[:, None, :])
-    return root @ root.transpose(0, 2, 1)
-
-
 def deform(cloud: GaussianCloud, means: Array, deformation_gradient: Array) -> GaussianCloud:
-    """The cloud with its Gaussians at `means` [m] (N, 3) and stretched by F (N, 3, 3): covariances F Sigma F^T.
+    """The cloud with its Gaussians at `means` [m] (N, 3) and stretched by F (N, 3, 3): covariances F Sigma F^T
+    (PhysGaussian's kinematics, used by the paper).
 
     Colours turn with the rotation of F's polar decomposition.
     """

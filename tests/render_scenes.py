@@ -1,5 +1,6 @@
 """Small scenes of Gaussians for the tests of the rasterisers, in float64."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from hoi.render.cameras import Camera, look_at
+from hoi.data import Camera
+from hoi.render.cameras import look_at
 from hoi.render.splats import Picture, Splats, covariances
 
 INPUTS = ("means", "covariances", "opacities", "sh", "turns")
@@ -18,6 +20,16 @@ def camera(width: int = 72, height: int = 48) -> Camera:
     """Looks at the origin from 3 m away, along no axis; unequal focal lengths, centre out of the middle."""
     seen = look_at((2.0, -2.0, 1.0), (0.0, 0.0, 0.0), width=width, height=height)
     return replace(seen, fx=1.1 * seen.fx, cx=seen.cx - 0.7, cy=seen.cy + 0.4)
+
+
+def cameras_in(text: str) -> list[Camera]:
+    """What `hoi.render.cameras.to_json` has written."""
+    found = []
+    for row in json.loads(text)["cameras"]:
+        (fx, _, cx), (_, fy, cy), _ = row["K"]
+        pose = np.array(row["world_to_camera"])
+        found.append(Camera(row["width"], row["height"], fx, fy, cx, cy, pose, row["near"]))
+    return found
 
 
 def straight(width: int = 32, height: int = 24, focal: float = 40.0) -> Camera:

@@ -24,9 +24,9 @@ from hoi.data import Array, Run
 from hoi.files import whole_file
 from hoi.gaussians import SH_C0
 from hoi.render.cameras import FOV_Y, VIEWS, frame_action
+from hoi.render.marks import Marks, impulse_arrow, largest_impulse, marks_of, normal_arrow, plane_axes
 from hoi.render.replay import Replay, replay
 from hoi.render.splats import Splats
-from hoi.view.marks import Marks, impulse_arrow, largest_impulse, marks_of, normal_arrow, plane_axes
 
 STEP = 1e-4
 """Least step of a position [m]."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hoi.data import Array, GaussianCloud, Material, SceneObject
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.gaussians import load_clean, transform
 from hoi.objects import cleaning, shapes
 from hoi.objects.filling import Filling, fill_cloud, fill_mesh
@@ -89,10 +89,8 @@ def load_file(
         raise InputError(f"object max_gaussians {max_gaussians}: must be at least 1")
     _check_lengths(size, spacing)
     cloud, notes = load_clean(path)
-    try:
+    with about(path):
         cloud, cleaned = cleaning.clean(cloud)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     cloud, thinned = cleaning.thin(cloud, max_gaussians)
     lower, upper = cloud.means.min(0).astype(np.float64), cloud.means.max(0).astype(np.float64)
     scale = size / (upper - lower).max()

@@ -30,7 +30,7 @@ def region_of(points: Array, size: float, regions: Sequence[Region]) -> NDArray[
         regions: none gives None.
 
     Raises:
-        InputError: no particle is left to a region.
+        InputError: no particle is left to a region, by its place `regions.K`.
     """
     if not regions:
         return None
@@ -43,7 +43,7 @@ def region_of(points: Array, size: float, regions: Sequence[Region]) -> NDArray[
             low, high = points.min(axis=0) / size, points.max(axis=0) / size
             extent = ", ".join(f"[{a:.2g}, {b:.2g}]" for a, b in zip(low, high, strict=True))
             raise InputError(
-                f"object.regions.{k}: no particle is left to {region.material.name}: its box, centre "
+                f"regions.{k}: no particle is left to {region.material.name}: its box, centre "
                 f"{region.centre.tolist()} and half size {region.half_size.tolist()}, misses the object, which fills "
                 f"{extent} (in units of its size), or later regions cover it"
             )

@@ -1,21 +1,15 @@
 """The run as a camera saw it: its video, its calibration and its place, as messages and back."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from hoi.data import Array
+from hoi.data import Array, Camera
 from hoi.record.views import CAMERA, timestamp
-
-if TYPE_CHECKING:
-    from hoi.render.cameras import Camera
 
 FORMAT, NO_DISTORTION = "h264", "plumb_bob"
 
@@ -79,8 +73,6 @@ def _calibration(time: int, camera: Camera) -> CameraCalibration:
 def camera_of(calibration: CameraCalibration, place: FrameTransform) -> Camera:
     """The camera of a message of `/camera/calibration` and its frame in `/tf`, exact but for the last digits."""
     from scipy.spatial.transform import Rotation
-
-    from hoi.render.cameras import Camera
 
     q, t, intrinsics = place.rotation, place.translation, list(calibration.K)
     pose = np.eye(4)

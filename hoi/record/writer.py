@@ -1,26 +1,23 @@
 """Run -> MCAP."""
 
-import errno
 import heapq
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from mcap.writer import Writer
 
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run
-from hoi.errors import InputError, RunError
+from hoi.files import whole_file
 from hoi.record.camera import Footage, poses
 from hoi.record.camera import messages as camera_messages
 from hoi.record.parts import history_to_csv, scene_files, to_json
 from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, ObjectState, array_fields, channels
 from hoi.record.views import timestamp, views
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_REFUSED = ("; out must be a folder that can be written to", "set out elsewhere")
 _MEDIA_TYPES = {".yaml": "application/yaml", ".txt": "text/plain", ".json": "application/json", ".csv": "text/csv"}
 
 Message = tuple[int, str, bytes]
@@ -61,7 +58,7 @@ def write(
         raise ValueError("human_points and human_colours go together")
     if footage is not None and footage.cameras and len(footage) != _frames(run):
         raise ValueError(f"a video of {len(footage)} pictures for a run of {_frames(run)} frames")
-    with _whole_file(path) as file:
+    with whole_file(path, *_REFUSED) as part, open(part, "wb") as file:
         writer = Writer(file)
         writer.start(library="hoi")
         writer.add_metadata("hoi.record", {"format": FORMAT})
@@ -81,27 +78,8 @@ def write(
         _attach(writer, {"history.csv": history_to_csv(run.history)})
         writer.add_metadata("hoi.result", run.result)
         writer.finish()
-
-
-@contextmanager
-def _whole_file(path: Path) -> Iterator[IO[bytes]]:
-    part = path.with_name(path.name + ".part")
-    try:
-        with open(part, "wb") as file:
-            try:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-                os.replace(part, path)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
-    except OSError as error:
-        if error.errno in _FULL:
-            raise RunError(f"cannot write {path}: {error.strerror}; free some space or set out elsewhere") from error
-        raise InputError(
-            f"cannot write {path}: {error.strerror}; out must be a folder that can be written to"
-        ) from error
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _attach(writer: Writer, files: dict[str, bytes]) -> None:

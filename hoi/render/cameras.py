@@ -7,12 +7,11 @@ facing +Y, so that the side view sees it walk to the right.
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hoi.data import Array
+from hoi.data import Array, Camera
 from hoi.errors import InputError
 from hoi.render.action import Action
 
@@ -37,55 +36,6 @@ VIEWS = {
 """Where the camera stands, seen from the action. "follow" stands behind, so that what is kicked away stays in sight."""
 TOP_UP = (-1.0, 0.0, 0.0)
 """What is up in the top view: the side view tipped over, so that the person still faces right."""
-
-
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """A pinhole. Two cameras are equal only when they are the same object.
-
-    Raises:
-        InputError: a size, focal length or near plane is not positive, or the pose is not rigid.
-    """
-
-    width: int
-    height: int
-    fx: float
-    """[pixel]"""
-    fy: float
-    cx: float
-    """[pixel]"""
-    cy: float
-    world_to_camera: Array
-    """Rigid, (4, 4), float64."""
-    near: float = 0.01
-    """What is closer is not drawn [m]."""
-
-    def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            size = getattr(self, name)
-            if not isinstance(size, int) or size < 1:
-                raise InputError(f"camera {name} {size!r}: a whole number of pixels from 1 is allowed")
-        for name in ("fx", "fy", "near"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"camera {name} {value:g}: a positive number is allowed")
-        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
-            raise InputError(f"camera centre ({self.cx:g}, {self.cy:g}): finite numbers are allowed")
-        pose = self.world_to_camera
-        rigid = pose.shape == (4, 4) and np.isfinite(pose).all() and np.array_equal(pose[3], (0, 0, 0, 1))
-        turn = pose[:3, :3]
-        if not rigid or abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
-            raise InputError("camera world_to_camera: a rigid 4 x 4 matrix is allowed (rotation, translation, 0 0 0 1)")
-
-    @property
-    def position(self) -> Array:
-        """In the world [m], (3,)."""
-        return -self.world_to_camera[:3, 3] @ self.world_to_camera[:3, :3]
-
-    @property
-    def forward(self) -> Array:
-        """Unit axis of view in the world, (3,)."""
-        return self.world_to_camera[2, :3].copy()
 
 
 def look_at(
@@ -267,33 +217,6 @@ def to_json(cameras: Sequence[Camera]) -> str:
         for camera in cameras
     ]
     return json.dumps({"conventions": conventions, "cameras": rows}, indent=1)
-
-
-def from_json(text: str) -> list[Camera]:
-    """What `to_json` has written.
-
-    Raises:
-        InputError: not JSON, a field is missing or of a wrong kind, K has a skew, or as `Camera`.
-    """
-    try:
-        rows = json.loads(text)["cameras"]
-        cameras = []
-        for index, row in enumerate(rows):
-            matrix = np.array(row["K"], np.float64)
-            pose = np.array(row["world_to_camera"], np.float64)
-            if matrix.shape != (3, 3) or matrix[0, 1] or matrix[1, 0] or not np.array_equal(matrix[2], (0, 0, 1)):
-                raise InputError(f"cameras[{index}].K: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] is allowed")
-            (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
-            cameras.append(Camera(row["width"], row["height"], fx, fy, cx, cy, pose, float(row["near"])))
-    except json.JSONDecodeError as error:
-        raise InputError(f"cameras are not JSON: {error}") from None
-    except (KeyError, TypeError, IndexError) as error:
-        raise InputError(f"cameras lack a field or have one of a wrong kind: {error}") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"cameras: {error}") from None
-    return cameras
 
 
 def _axes(forward: ArrayLike, up: ArrayLike) -> Array:

@@ -104,11 +104,6 @@ def _coder(width: int, height: int, rate: Fraction) -> av.VideoCodecContext:
     return coder
 
 
-def is_key_frame(unit: bytes) -> bool:
-    """Whether an Annex B access unit can be decoded without the ones before it (it has an IDR slice)."""
-    return any(len(nal) > 0 and nal[0] & 31 == 5 for nal in unit.split(b"\0\0\1")[1:])
-
-
 def write_mp4(video: Video, path: Path) -> None:
     """Write an MP4 whose index comes first, so that it plays while it loads.
 

@@ -7,10 +7,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hoi.data import Scene
-from hoi.render.cameras import Camera, view
+from hoi.data import Camera, Scene
+from hoi.render import Backend
+from hoi.render.cameras import view
 from hoi.render.ground import Backdrop, Shadow, cast
-from hoi.render.rasterise import Backend, render_frames
+from hoi.render.rasterise import render_frames
 from hoi.render.replay import Replay
 from hoi.render.splats import Splats
 

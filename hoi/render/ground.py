@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hoi.data import Array
-from hoi.render.cameras import Camera, project
+from hoi.data import Array, Camera
+from hoi.render.cameras import project
 from hoi.render.splats import Splats
 
 FLOOR, LINE, HORIZON, ZENITH = 0.909, 0.842, 0.961, 0.99

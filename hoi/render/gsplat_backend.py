@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from hoi.data import Camera
 from hoi.errors import InputError
-from hoi.render.cameras import Camera
 from hoi.render.splats import Picture, Splats, shade
 
 

@@ -1,23 +1,22 @@
 """Runs and views side by side in one clock: what is seen, and its video or filmstrip."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hoi import record
-from hoi.data import Array, Run
-from hoi.errors import InputError
-from hoi.render.cameras import TOP_UP, VIEWS, Camera, circle, frame_action
+from hoi.data import Array, Camera, Run
+from hoi.errors import InputError, about
+from hoi.render import Backend
+from hoi.render.cameras import TOP_UP, VIEWS, circle, frame_action
 from hoi.render.cameras import view as view_of
 from hoi.render.encode import check_fps, encode, write_mp4, write_png
 from hoi.render.film import choose_frames, film
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
-from hoi.render.rasterise import Backend
 from hoi.render.replay import Replay, replay
-from hoi.reports import Stages
 
 TURN = 100
 """Viewpoints around a moment that is frozen: the paper's."""
@@ -68,10 +67,8 @@ def make_clock(replays: Sequence[Replay], frames: slice, speed: float, freeze: i
     shown = list(range(count))[frames] if freeze is None else [freeze] * TURN
     if not shown:
         raise InputError(f"--frames: none of the frames 0 to {count - 1} is left")
-    try:
+    with about(f"--speed {speed:g}"):
         played = check_fps(fps * speed)
-    except InputError as error:
-        raise InputError(f"--speed {speed:g}: {error}") from None
     return Clock([frame / fps for frame in shown], float(played))
 
 
@@ -131,8 +128,14 @@ def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pix
         yield list(row)
 
 
-def make_video(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing = Drawing()) -> None:
-    """Draw the panels side by side and write an MP4.
+def make_video(
+    panels: Sequence[Panel],
+    clock: Clock,
+    path: Path,
+    how: Drawing = Drawing(),
+    drawn: Callable[[], object] = lambda: None,
+) -> None:
+    """Draw the panels side by side and write an MP4; `drawn` is called after each picture.
 
     Raises:
         InputError: the path cannot be written to.
@@ -140,10 +143,9 @@ def make_video(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing =
     """
 
     def composed() -> Iterator[Pixels]:
-        with Stages().stage("video", len(clock.times)) as stage:
-            for time, row in zip(clock.times, rows_of_pictures(panels, how), strict=True):
-                yield tile(_labelled(row, panels, time) if len(panels) > 1 else row, columns_for(len(panels)))
-                stage.advance()
+        for time, row in zip(clock.times, rows_of_pictures(panels, how), strict=True):
+            yield tile(_labelled(row, panels, time) if len(panels) > 1 else row, columns_for(len(panels)))
+            drawn()
 
     write_mp4(encode(composed(), clock.fps), path)
 
@@ -194,7 +196,5 @@ def load(path: Path, device: str) -> Replay:
         InputError: as `hoi.record.read`, or it has nothing to show.
     """
     run = record.read(path)
-    try:
+    with about(path):
         return replay(run, device)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

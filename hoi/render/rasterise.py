@@ -7,19 +7,18 @@ The Taichi backend projects Gaussians to splats, sorts them by depth and into ti
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hoi.compute import Precision, start_taichi
+from hoi.data import Camera
 from hoi.errors import InputError
-from hoi.render import blend_pixels, blend_rows, kernels
-from hoi.render.cameras import Camera
+from hoi.render import Backend, blend_pixels, blend_rows, kernels
 from hoi.render.splats import Picture, Splats, check, join, shade
 
-Backend = Literal["taichi", "gsplat", "reference"]
 Colour = Sequence[float] | Tensor
 WHITE = (1.0, 1.0, 1.0)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from hoi.render.cameras import Camera
+from hoi.data import Camera
 from hoi.render.splats import Picture, Splats, shade
 
 BLUR = 0.3

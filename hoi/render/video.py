@@ -12,9 +12,10 @@ import os
 import re
 import sys
 from pathlib import Path
+from typing import get_args
 
-from hoi.config import RenderBackend
 from hoi.errors import InputError, RunError
+from hoi.render import Backend
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
 from hoi.runner.arguments import Parser
 from hoi.runner.interrupt import interruptible
@@ -54,12 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--speed", type=float, default=1.0, help="1 is real time, 0.25 slow motion (default: 1)")
     add("--freeze", type=int, metavar="FRAME", help="turntable around this moment")
     add("--sh-degree", type=int, choices=range(4), metavar="0..3", help="of the colours (default: all there is)")
-    add(
-        "--backend",
-        choices=[backend.value for backend in RenderBackend],
-        default="taichi",
-        help="what draws (default: taichi)",
-    )
+    add("--backend", choices=get_args(Backend), default="taichi", help="what draws (default: taichi)")
     add("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
     return parser
 
@@ -95,6 +91,7 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     from hoi.files import whole_file
     from hoi.render import panels as side_by_side
+    from hoi.runner.progress import Stages
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
@@ -107,7 +104,8 @@ def execute(options: argparse.Namespace) -> list[Path]:
         video = options.records[0].with_name(f"{options.view}.mp4")
     how = side_by_side.Drawing(options.sh_degree, options.backend, options.device)
     if video:
-        side_by_side.make_video(panels, clock, video, how)
+        with Stages().stage("video", len(clock.times)) as stage:
+            side_by_side.make_video(panels, clock, video, how, stage.advance)
     if options.png:
         side_by_side.make_strip(panels, clock, options.png, how)
     if options.cameras:

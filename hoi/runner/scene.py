@@ -100,5 +100,6 @@ def load_object(config: Config) -> SceneObject:
     )
     boxes = [region.box for region in conf.regions]
     regions = [Region(np.array(b.centre), np.array(b.half_size), m) for b, m in zip(boxes, others, strict=True)]
-    region = region_of(loaded.particles, loaded.size, regions)
+    with under("object"):
+        region = region_of(loaded.particles, loaded.size, regions)
     return replace(placed, other_materials=tuple(others), region=region)

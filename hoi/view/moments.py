@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hoi import record
 from hoi.data import Run
-from hoi.errors import InputError
+from hoi.errors import about
 from hoi.gaussians import SH_C0
 from hoi.render.replay import Replay, replay
 from hoi.render.splats import Splats
@@ -86,10 +86,8 @@ def load(paths: Sequence[Path]) -> list[Moments]:
     found = []
     for path in paths:
         run = record.read(path)
-        try:
+        with about(path):
             found.append(Moments(run, KEPT_BYTES // len(paths)))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
     return found
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hoi.data import Array, Plane
-from hoi.view.marks import (
+from hoi.render.marks import (
     Marks,
     bones,
     impulse_arrow,

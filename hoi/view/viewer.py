@@ -13,8 +13,8 @@ import viser
 from hoi.data import Array
 from hoi.errors import InputError
 from hoi.render.cameras import FOV_Y, VIEWS, frame_action
+from hoi.render.marks import largest_impulse, marks_of
 from hoi.view.clock import Player, common_clock
-from hoi.view.marks import largest_impulse, marks_of
 from hoi.view.moments import Moments, load, single_threaded
 from hoi.view.nodes import RunNodes, Shown
 from hoi.view.panel import Panel, add_tabs

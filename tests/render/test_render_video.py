@@ -14,6 +14,7 @@ import pytest
 import torch
 from demo_run import make_run
 from PIL import Image
+from render_scenes import cameras_in
 
 from hoi import record
 from hoi.data import Motion, State
@@ -21,7 +22,7 @@ from hoi.errors import InputError
 from hoi.gaussians import sh_from_colours
 from hoi.render import film as film_module
 from hoi.render import layout, panels, video
-from hoi.render.cameras import from_json, project
+from hoi.render.cameras import project
 from hoi.render.film import cameras_of, choose_frames, film
 from hoi.render.replay import replay
 
@@ -244,7 +245,7 @@ def test_ablations_side_by_side(demo, path, tmp_path):
     assert np.abs(left - right).max() > 60  # no person on the right
     with Image.open(strip) as image:
         assert image.size == (8 * 96 + 7 * layout.GAP, 2 * 64 + layout.GAP)
-    found = from_json(cameras.read_text())
+    found = cameras_in(cameras.read_text())
     assert len(found) == 12 and (found[0].width, found[0].height) == SIZE
     assert "OpenCV" in json.loads(cameras.read_text())["conventions"]["camera_axes"]
     assert sorted(os.listdir(tmp_path)) == ["cameras.json", "no_mpm", "out.mp4", "strip.png"]

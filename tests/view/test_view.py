@@ -18,10 +18,10 @@ import pytest
 from hoi import record
 from hoi.data import Contact, ContactSearch, ObjectTrajectory, Plane, Run
 from hoi.errors import InputError
+from hoi.render.marks import bones, impulse_arrow, marks_of, normal_arrow, plane_axes, trail, trail_colours
 from hoi.render.replay import replay
 from hoi.view.__main__ import main
 from hoi.view.clock import Clock, Player, common_clock
-from hoi.view.marks import bones, impulse_arrow, marks_of, normal_arrow, plane_axes, trail, trail_colours
 from hoi.view.moments import UNIT, Moments, faded, load, pack, positions
 from hoi.view.words import curves_of, facts_markdown, plain, plan_markdown
 from tests.demo_run import make_run, posed_means

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import MISSING
 
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError, RunError, under
 from hoi.stages.contract import LARGEST_PICTURE, SMALLEST_PICTURE, Draft, Renderer, Requirements, option
 
 if TYPE_CHECKING:
@@ -77,10 +77,8 @@ class Video(Renderer):
         if self.backend is RenderBackend.gsplat:
             from hoi.render.gsplat_backend import load_gsplat
 
-            try:
+            with under(self.key):
                 load_gsplat()
-            except InputError as error:
-                raise InputError(f"render.{error}") from None
 
     def draw(self, run: Run, device: str, stage: Stage) -> tuple[Film, Footage]:
         started = time.perf_counter()
