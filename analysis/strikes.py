@@ -99,12 +99,12 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     """
     import pandas as pd
     import torch
-
-    from hoi.body.skinning import joint_paths
-    from hoi.method import movers
     from hoi.method.coordination import coordinate, meet
     from hoi.method.scene import build_scene
     from hoi.method.synthesis import load_distillation, synthesise
+
+    from hoi.body.skinning import joint_paths
+    from hoi.method import movers
     from hoi.motion.evaluator import load_evaluator
 
     from .reach import config_of, quiet

@@ -1,4 +1,4 @@
-"""Modules that are functions as well: `hoi.run` and `hoi.render` are rooms of the package, and what one does in them."""
+"""Modules that are functions as well: `hoi.run` and `hoi.render` are rooms, and what one does in them."""
 
 import sys
 from types import ModuleType

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import hydra
 import torch
+from hoi.method.scene import build_scene
+from hoi.runner.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -16,11 +18,9 @@ from hoi.config import CONF, Ablation, Config, ImpulseConf, VideoConf, register
 from hoi.config.validate import to_config
 from hoi.data import Plan, Run, Step
 from hoi.errors import InputError, RunError
-from hoi.method.scene import build_scene
 from hoi.motion.text import default_cache, minilm
 from hoi.run import one_line
 from hoi.runner.execute import RECORD, already_there
-from hoi.runner.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
 from hoi.runner.progress import Stages
 from hoi.runner.provenance import provenance
 

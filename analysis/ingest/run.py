@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from hoi.method.scene import planes_of
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
@@ -16,7 +17,6 @@ from hoi.config import CONF, Ablation, Config, ImpulseConf, register
 from hoi.config.validate import to_config
 from hoi.data import Array, Body, ContactSearch, GaussianCloud, ObjectTrajectory, Plan, Run, Scene, State, Step
 from hoi.errors import InputError
-from hoi.method.scene import planes_of
 from hoi.plan import format_plan, material_of
 from hoi.record import write
 from hoi.render.encode import write_mp4

@@ -11,9 +11,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from hoi.method.refine_stage import refine
 
 from hoi.data import Array, Motion
-from hoi.method.refine_stage import refine
 from hoi.refine.views import Framing, background, viewpoint
 from hoi.render.cameras import Camera
 from hoi.render.rasterise import rasterise

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
+from hoi.method.refine_stage import refine
+from hoi.method.synthesis import load_distillation
 
 from hoi.config import Config, HMSDConf
 from hoi.data import Motion, Run
 from hoi.errors import RunError
 from hoi.method.hmsd import PoseParameters
-from hoi.method.refine_stage import refine
-from hoi.method.synthesis import load_distillation
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.prior import load_prior
 from hoi.record import read

@@ -1,8 +1,8 @@
 """The typed configuration: one dataclass a group, registered with Hydra, checked as a whole by `hoi.config.validate`.
 
-Those of the stages are their options, in `hoi.stages`. Defaults live in `conf/`, not here: a field without a value there
-is an error at composition. Each field says what it is and, in brackets, its unit ([-] for a number that has none);
-`docs/` makes the reference of all keys from that. No heavy imports.
+Those of the stages are their options, in `hoi.stages`. Defaults live in `conf/`, not here: a field without a value
+there is an error at composition. Each field says what it is and, in brackets, its unit ([-] for a number that has
+none); `docs/` makes the reference of all keys from that. No heavy imports.
 """
 
 from dataclasses import dataclass, field

@@ -115,7 +115,9 @@ def video_sds(
     stage: Stage,
     enough: Callable[[Motion], bool] | None = None,
 ) -> Motion:
-    """The motion with theta in the window refined by a prior. Each iteration looks from one viewpoint, at one noise level.
+    """The motion with theta in the window refined by a prior.
+
+    Each iteration looks from one viewpoint, at one noise level.
 
     Args:
         prior: prepared for the scene's prompt.

@@ -24,7 +24,7 @@ def refined(
     improve: Callable[[Meeting], Motion],
     stage: Stage,
 ) -> Motion:
-    """The motion with theta improved around contact; the motion as it was, where that is not needed or does not succeed.
+    """The motion with theta improved around contact; as it was, where that is not needed or does not succeed.
 
     `stage` is told how deep the limb is in the object, how much of it touches and how far it is off, before and after
     (see `hoi.refine.fidelity.Fidelity`), or why nothing was done.

@@ -1,8 +1,8 @@
 """The options of every stage, one file each: `hoi/stages/object/mpm.py` is what `stage/object=mpm` chooses.
 
-An option is one dataclass (`hoi.stages.contract.Option`) that is its schema, its checks, its lines of the plan and, with
-what it needs imported only then, its run. Its values stand in the file of the same place in `conf/`. A file in here is
-found by being here.
+An option is one dataclass (`hoi.stages.contract.Option`) that is its schema, its checks, its lines of the plan and,
+with what it needs imported only then, its run. Its values stand in the file of the same place in `conf/`. A file in
+here is found by being here.
 """
 
 import pkgutil

@@ -1,4 +1,4 @@
-"""Contact that deforms: detected as in the paper, but then the limb itself pushes the object, as capsules in the MPM."""
+"""Contact that deforms: detected as in the paper, but then the limb pushes the object, as capsules in the MPM."""
 
 from __future__ import annotations
 

@@ -51,7 +51,10 @@ STARTS = {
 class HMSD(MotionSource):
     """Human motion score distillation."""
 
-    stands_for: ClassVar[dict[str, str]] = {"no_mdm": "the motion prior", "motion_from_file": "the motion from the sentence"}
+    stands_for: ClassVar[dict[str, str]] = {
+        "no_mdm": "the motion prior",
+        "motion_from_file": "the motion from the sentence",
+    }
 
     checkpoint: str | None = None
     """The motion prior: null for the one in the package, or a file or folder."""

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 class Geometric(WindowedRefinement):
     """No prior: the limb out of the object and its skin at the surface."""
 
-    stands_for: ClassVar[dict[str, str]] = {"geometric": "Video-SDS in stage 3"}  # not w/o Video-SDS, where stage 2 is final
+    stands_for: ClassVar[dict[str, str]] = {
+        "geometric": "Video-SDS in stage 3"
+    }  # not w/o Video-SDS, where stage 2 is final
 
     def plan(self, config: Config, draft: Draft) -> None:
         draft.without.append("geometric")

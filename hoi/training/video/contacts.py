@@ -17,11 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.people import load_person
-from hoi.body.skeleton import JOINT_COUNT
+from hoi.body.skeleton import CHAINS, JOINT_COUNT
 from hoi.body.skinning import joint_paths
 from hoi.data import Array, Body, Motion
 from hoi.method.contact import impulse
-from hoi.method.limb_collider import CHAINS
 from hoi.motion.diffusion import ancestral_sample
 from hoi.motion.features import FEATURE_COUNT, decode
 from hoi.motion.prior import MotionPrior
