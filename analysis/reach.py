@@ -1,7 +1,7 @@
 """How near the striking joint comes to objects placed all around: `python -m analysis.reach [-o FILE.csv] [overrides]`.
 
 Stage 1 runs once a seed, its motion is the same wherever the object is; stage 2 runs for every placement, with the
-seeds in turn. The gap is that of `hoi.method.coordination.reach_gap`; beside it stands what stage 2 does to the motion.
+seeds in turn. The gap is that of `hoi.method.attraction.reach_gap`; beside it stands what stage 2 does to the motion.
 """
 
 from __future__ import annotations
@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hoi.config import CONF, Approach, Config, HMSDConf, register
+from hoi.config.compose import config_of
 from hoi.data import Motion, Scene
 from hoi.errors import InputError, RunError
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from hoi.runner.progress import Stage
 
 DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
 """Of the object, as seen from the origin: the first ahead, the others evenly around [m]; None is on the ground."""
@@ -39,27 +37,6 @@ def positions(directions: int, distances: Sequence[float], heights: Sequence[flo
     ]
 
 
-def config_of(overrides: Sequence[str]) -> Config:
-    """The config of overrides, as for hoi.run.
-
-    Raises:
-        InputError: a bad one.
-    """
-    from hydra import compose, initialize_config_dir
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from hoi.config.validate import to_config
-    from hoi.run import one_line
-
-    register()
-    try:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            return to_config(compose("config", ["render=none", *overrides]))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(one_line(error)) from error
-
-
 def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seeds: Sequence[int]) -> pd.DataFrame:
     """One row a placement, of the seeds in turn.
 
@@ -68,39 +45,48 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
         RunError: a stage failed.
     """
     import pandas as pd
-    import torch
 
-    from hoi.method import movers
-    from hoi.method.coordination import coordinate, meet
-    from hoi.method.scene import build_scene, load_object
-    from hoi.method.synthesis import load_distillation, synthesise
+    from hoi.method.attraction import Batch
+    from hoi.method.object_motion import at_rest, free_motion
+    from hoi.method.optimization import Walk
+    from hoi.plan import make_plan
+    from hoi.reports import Stages, quiet
+    from hoi.runner.jobs import torch_threads
+    from hoi.runner.scene import build_scene, load_object
 
-    config = config_of(overrides)
-    if not isinstance(config.stage.motion, HMSDConf):
-        raise InputError("analysis.reach needs a motion prior: stage/motion=hmsd")
-    torch.set_num_threads(config.threads or torch.get_num_threads())
-    scene = build_scene(config)
-    distillation = load_distillation(scene, config.stage.motion, "cpu", config.scene.approach is Approach.stand)
-    motions = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", [quiet("motion") for _ in seeds])
-    rows = []
+    config = config_of("render=none", *overrides)
+    plan = make_plan(config)
+    if "motion_prior" not in plan.uses or "attraction" not in plan.uses:
+        raise InputError(
+            "analysis.reach needs a motion prior and attraction: stage/motion=hmsd stage/attraction=windowed"
+        )
+    scene, rows = build_scene(config, plan), []
+    stages = [Stages() for _ in seeds]
+    with torch_threads(config.threads):
+        walk = Walk(config, plan, Batch([scene] * len(seeds), seeds, "cpu"), at_rest, stages)
+        walk.synthesise()
     for number, place in enumerate(places):
-        seed, free = seeds[number % len(seeds)], motions[number % len(seeds)]
+        seed, state = seeds[number % len(seeds)], walk.states[number % len(seeds)]
         z = "null" if place[2] is None else place[2]
-        there = config_of([*overrides, f"scene.placement.position=[{place[0]},{place[1]},{z}]"])
+        there = config_of("render=none", *overrides, f"scene.placement.position=[{place[0]},{place[1]},{z}]")
         around = replace(scene, object=load_object(there))
-        trajectory, _ = movers.free_motion(around, movers.at_rest, quiet("free motion"))
-        stage = quiet("coordinate")
-        before, target = meet(around, free, trajectory, there)
-        (after,) = coordinate([around], [before], trajectory, [target], distillation, there, [seed], "cpu", [stage])
+        trajectory, _ = free_motion(around, at_rest, quiet("free motion"))
+        met = Walk(there, plan, Batch([around], [seed], "cpu"), at_rest, [Stages()], distillation=walk.distillation)
+        met.states = [replace(state, trajectory=trajectory)]
+        with torch_threads(config.threads):
+            before = met.aimed(around, met.states[0]).motion
+            met.coordinate()
+        after, numbers = met.states[0].motion, met.stages[0].reports[0].numbers
+        assert before is not None and after is not None
         rows.append(
             {
                 "seed": seed,
                 "x": place[0],
                 "y": place[1],
                 "z": trajectory.com[0, 2],
-                "gap": stage.numbers["reach_gap"],
-                "slide before": stage.numbers["slide_before"],
-                "slide after": stage.numbers["slide_after"],
+                "gap": numbers["reach_gap"],
+                "slide before": numbers["slide_before"],
+                "slide after": numbers["slide_after"],
                 "jerk before": mean_jerk(scene, before),
                 "jerk after": mean_jerk(scene, after),
                 "pose moved": pose_distance(scene, before, after),
@@ -111,13 +97,6 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
         print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return pd.DataFrame(rows)
-
-
-def quiet(name: str) -> Stage:
-    """A stage without a bar."""
-    from hoi.runner.progress import Stage
-
-    return Stage(name, lambda units: None, [])
 
 
 def mean_jerk(scene: Scene, motion: Motion) -> float:
@@ -154,7 +133,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10, help="default 10")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()
-    from hoi.method.coordination import REACHED
+    from hoi.method.attraction import REACHED
 
     try:
         places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hoi.config import Approach, HMSDConf
+from hoi.config.compose import config_of
 from hoi.data import Motion
 from hoi.errors import InputError, RunError
 
@@ -98,37 +98,40 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
         RunError: a stage failed.
     """
     import pandas as pd
-    import torch
-    from hoi.method.coordination import coordinate, meet
-    from hoi.method.scene import build_scene
-    from hoi.method.synthesis import load_distillation, synthesise
 
     from hoi.body.skinning import joint_paths
-    from hoi.method import movers
+    from hoi.method.attraction import Batch
+    from hoi.method.object_motion import at_rest
+    from hoi.method.optimization import Walk
     from hoi.motion.evaluator import load_evaluator
-
-    from .reach import config_of, quiet
+    from hoi.plan import make_plan
+    from hoi.reports import Stages
+    from hoi.runner.jobs import torch_threads
+    from hoi.runner.scene import build_scene
 
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:
         for number, strike in enumerate(STRIKES):
             own = (f"scene.motion_prompt={strike.sentence}", f"scene.placement.position={strike.position}")
             limb = f"scene.striking_limb={strike.limb}"
-            config = config_of(["human.gaussians=8000", *own, limb, *overrides, f"++stage.motion.init={init}"])
-            if not isinstance(config.stage.motion, HMSDConf):
+            start = f"++stage.motion.init={init}"
+            config = config_of("render=none", "human.gaussians=8000", *own, limb, *overrides, start)
+            plan = make_plan(config)
+            if "motion_prior" not in plan.uses:
                 raise InputError("analysis.strikes needs a motion prior: stage/motion=hmsd")
-            torch.set_num_threads(config.threads or torch.get_num_threads())
-            scene, still = build_scene(config), config.scene.approach is Approach.stand
-            distillation = load_distillation(scene, config.stage.motion, "cpu", still)
-            trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet("free motion"))
-            stages = [quiet("stage") for _ in seeds]
-            free = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", stages)
-            met = [meet(scene, motion, trajectory, config) for motion in free]
-            scenes, begun, targets = [scene] * len(seeds), [motion for motion, _ in met], [target for _, target in met]
-            after = coordinate(scenes, begun, trajectory, targets, distillation, config, seeds, "cpu", stages)
+            batch = Batch([build_scene(config, plan)] * len(seeds), seeds, "cpu")
+            walk = Walk(config, plan, batch, at_rest, [Stages() for _ in seeds])
+            with torch_threads(config.threads):
+                walk.synthesise()
+                free = [state.motion for state in walk.states if state.motion is not None]
+                walk.coordinate()
+            after = [state.motion for state in walk.states if state.motion is not None]
+            scene, distillation = batch.scenes[0], walk.distillation
+            assert distillation is not None
+            numbers_of = [stages.reports[-1].numbers for stages in walk.stages]
             facts_of_it = {"start": init, "strike": strike.sentence, "n": len(seeds)}
             rows.append({**facts_of_it, "stage": 1, **judged(strike, free, distillation, evaluator)})
-            gap = float(np.median([stage.numbers.get("reach_gap", np.nan) for stage in stages]))
+            gap = float(np.median([numbers.get("reach_gap", np.nan) for numbers in numbers_of]))
             numbers = judged(strike, after, distillation, evaluator)
             rows.append({**facts_of_it, "stage": 2, **numbers, "gap [m]": gap})
             paths[f"{init}/{number}"] = np.stack([joint_paths(scene.body, motion) for motion in after])

@@ -9,9 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from hoi.config import VideoSDSConf
-from hoi.config.choices import VideoPriorKind
 from hoi.method.video_sds import distil
+from hoi.stages.refine.video_sds import VideoPriorKind, VideoSDS
 from hoi.video_prior.cogvideox import CogVideoX, rotary_embedding
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
 from hoi.video_prior.cogvideox_files import Configs, Files, empty_transformer, empty_vae, estimate_memory
@@ -72,10 +71,8 @@ def _drawn(model: nn.Module, dtype: torch.dtype) -> nn.Module:
     return model.eval().requires_grad_(False)
 
 
-def conf_of(frames: int, size: tuple[int, int], offload: bool) -> VideoSDSConf:
-    return VideoSDSConf(
-        prior=VideoPriorKind.cogvideox, clip_frames=frames, height=size[0], width=size[1], offload=offload
-    )
+def conf_of(frames: int, size: tuple[int, int], offload: bool) -> VideoSDS:
+    return VideoSDS(prior=VideoPriorKind.cogvideox, clip_frames=frames, height=size[0], width=size[1], offload=offload)
 
 
 # --- measured --------------------------------------------------------------------------------------------------------

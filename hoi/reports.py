@@ -6,8 +6,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 from hoi.data import StageReport
 
-Advance = Callable[[int], object]
-"""Told of so many more units of work done."""
+Advance = Callable[..., object]
+"""Told of so many more units of work done; of one, when not told how many."""
 Bar = Callable[[str, int], AbstractContextManager[Advance]]
 """(name, total units) -> what shows them, while they are done."""
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from hoi.method.scene import planes_of
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.body.skeleton import JOINT_COUNT
-from hoi.config import CONF, Ablation, Config, ImpulseConf, register
+from hoi.config import CONF, Ablation, Config, register
 from hoi.config.validate import to_config
 from hoi.data import Array, Body, ContactSearch, GaussianCloud, ObjectTrajectory, Plan, Run, Scene, State, Step
 from hoi.errors import InputError
@@ -21,6 +20,7 @@ from hoi.plan import format_plan, material_of
 from hoi.record import write
 from hoi.render.encode import write_mp4
 from hoi.runner.provenance import provenance
+from hoi.runner.scene import planes_of
 
 from . import meshes
 from .contact import centre_of_mass_path, find_contact, velocity
@@ -176,7 +176,6 @@ def _physical(
     config: Config, person: meshes.MeshSequence, thing: meshes.MeshSequence, options: argparse.Namespace
 ) -> Meshes:
     scene_conf, contact = config.scene, config.stage.contact
-    assert isinstance(contact, ImpulseConf)  # the default
     skin, colours = tracked_points(person, SKIN_POINTS, config.seed)
     seen, positions = object_of(thing, config.object.name, material_of(config.material), config.seed)
     com = centre_of_mass_path(thing.vertices, thing.faces, triangle_areas(thing))
@@ -188,7 +187,7 @@ def _physical(
             positions[:, : len(seen.cloud)],
             com,
             scene_conf.fps,
-            distance=options.distance or contact.distance,
+            distance=options.distance or contact.d_contact,
             mass=mass,
             restitution=seen.material.restitution,
         )

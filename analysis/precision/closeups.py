@@ -11,16 +11,16 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from hoi.method.refine_stage import refine
 
+from hoi.config.compose import config_of
 from hoi.data import Array, Motion
 from hoi.refine.views import Framing, background, viewpoint
 from hoi.render.cameras import Camera
 from hoi.render.rasterise import rasterise
 from hoi.render.replay import replay
 from hoi.render.splats import join
+from hoi.reports import quiet
 
-from ..reach import config_of, quiet
 from .contacts import Start, Way
 from .report import INK, MUTED
 
@@ -66,8 +66,8 @@ def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
         pictures = [(closeup(start, motion, camera), f"{start.scene}, before")]
         for way in ways:
             stage = quiet("refine")
-            config = config_of([*start.overrides, *way.overrides])
-            refined = refine(scene, start.run.state, config, "cpu", stage)
+            config = config_of("render=none", *start.overrides, *way.overrides)
+            refined = config.stage.refine.refine(scene, start.run.state, config, "cpu", stage)
             numbers = stage.numbers
             before, after = (1e3 * numbers.get(f"penetration_{when}", np.nan) for when in ("before", "after"))
             pictures[0] = (pictures[0][0], f"{start.scene}: {before:.0f} mm deep")

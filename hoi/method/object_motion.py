@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hoi.data import Array, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Scene, SceneObject
 from hoi.mpm.collider import Collider
 from hoi.mpm.state import centre_of_mass, initial_state
 from hoi.reports import Stage
@@ -27,12 +27,26 @@ class Advanced:
     """The first and last frame at which it gave any."""
 
 
+@dataclass(frozen=True)
+class World:
+    """An object and what is around it: of a scene, what concerns the object."""
+
+    object: SceneObject
+    frames: int
+    """T."""
+    fps: float
+    gravity: Array
+    """[m/s^2], shape (3,)."""
+    planes: tuple[Plane, ...] = ()
+    """What it cannot enter."""
+
+
 class Mover(Protocol):
     """Moves the object from its state at frame `start` to each of the frames `stops`; frames may be fractional."""
 
     def __call__(
         self,
-        scene: Scene,
+        scene: Scene | World,
         state: ObjectState,
         start: float,
         stops: Sequence[float],
@@ -44,7 +58,7 @@ class Mover(Protocol):
 
 
 def at_rest(
-    scene: Scene,
+    scene: Scene | World,
     state: ObjectState,
     start: float,
     stops: Sequence[float],
@@ -57,7 +71,7 @@ def at_rest(
     return Advanced(tuple(state for _ in stops), energy, ("rest",) * len(stops))
 
 
-def rigid_energy(scene: Scene, state: ObjectState) -> tuple[float, float, float]:
+def rigid_energy(scene: Scene | World, state: ObjectState) -> tuple[float, float, float]:
     """Kinetic, elastic and potential energy [J] of an object that does not deform."""
     masses = scene.object.masses
     kinetic = 0.5 * float(masses @ (state.velocities**2).sum(axis=1))
@@ -65,7 +79,7 @@ def rigid_energy(scene: Scene, state: ObjectState) -> tuple[float, float, float]
     return kinetic, 0.0, potential
 
 
-def free_motion(scene: Scene, move: Mover, stage: Stage) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
+def free_motion(scene: Scene | World, move: Mover, stage: Stage) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
     """The object alone, from t = 0 to T (paper, Object Motion Simulation); with its states, to start again from."""
     thing = scene.object
     start = initial_state(thing.particles, thing.masses, thing.velocity, thing.angular_velocity)

@@ -9,6 +9,7 @@ from hoi.data import Motion, ObjectState, Plan, Scene, State
 from hoi.errors import under
 from hoi.method.approach import approach
 from hoi.method.attraction import Batch, coordinate
+from hoi.method.hmsd import ScoreDistillation
 from hoi.method.object_motion import Mover, at_rest, free_motion
 from hoi.reports import Stages, shared_stage
 
@@ -32,19 +33,19 @@ class Walk:
     """What the stages have written so far, one a run; also when one fails."""
     restarts: tuple[ObjectState, ...] = ()
     """The object's state at each frame of its free motion, for the re-simulation."""
+    distillation: ScoreDistillation | None = None
+    """The motion prior, where the plan uses it."""
 
-    def agents(self) -> None:
-        """Each agent alone, then the person meets the object; fills `states`.
+    def synthesise(self) -> None:
+        """Agent Motion Synthesis: the object's free motion, and the human's, distilled from the motion prior.
 
         Raises:
-            InputError: a file of the motion cannot be read, or the person would start inside the object.
+            InputError: a file of the motion cannot be read.
             RunError: a stage cannot go on.
         """
-        plan, scenes, device = self.plan, self.batch.scenes, self.batch.device
-        options = self.config.stage
+        plan, scenes, options = self.plan, self.batch.scenes, self.config.stage
         motions = [stand_motion(scene.body, scene.frames, scene.fps) for scene in scenes]
 
-        # Agent Motion Synthesis: the object's free motion ...
         with shared_stage(self.stages, "free motion", scenes[0].frames - 1) as (stage, *others):
             move = self.move if plan.keeps("free_motion") else at_rest
             trajectory, self.restarts = free_motion(scenes[0], move, stage)
@@ -52,25 +53,33 @@ class Walk:
                 other.numbers.update(stage.numbers)
                 other.notes.extend(stage.notes)
         self.states = [State(motion, trajectory) for motion in motions]
-
-        # ... and the human's, distilled from the motion prior.
-        distillation = None
         if plan.keeps("motion"):
             with shared_stage(self.stages, "motion", options.motion.units()) as each:
                 if "motion_prior" in plan.uses:
                     stand = self.config.scene.approach == "stand"
-                    distillation = options.motion.prior(scenes[0], device, stand)
-                self._move(options.motion.motions(scenes[0], distillation, self.batch.seeds, each))
+                    self.distillation = options.motion.prior(scenes[0], self.batch.device, stand)
+                self._move(options.motion.motions(scenes[0], self.distillation, self.batch.seeds, each))
 
-        # Physically-Aware Interaction Synthesis: windowed attraction.
-        self.states = [self._aim(scene, state) for scene, state in zip(scenes, self.states, strict=True)]
+    def coordinate(self) -> None:
+        """Windowed attraction: the person meets the object.
+
+        Raises:
+            InputError: the person would start inside the object.
+            RunError: the motion is not finite.
+        """
+        plan, options = self.plan, self.config.stage
+        self.states = [self.aimed(scene, state) for scene, state in zip(self.batch.scenes, self.states, strict=True)]
         if plan.keeps("coordinate"):
             attraction = options.attraction if "attraction" in plan.uses else None
             with shared_stage(self.stages, "coordinate", options.coordinate.iterations) as each:
-                self._move(coordinate(self.batch, self.states, distillation, attraction, options.coordinate, each))
+                self._move(coordinate(self.batch, self.states, self.distillation, attraction, options.coordinate, each))
 
-    def interaction(self, run: int) -> None:
-        """The object answers, the contact looks right: the rest of one run."""
+    def interact(self, run: int) -> None:
+        """The object answers, the contact looks right: the rest of one run.
+
+        Raises:
+            RunError: a stage cannot go on.
+        """
         scene, stages, options = self.batch.scenes[run], self.stages[run], self.config.stage
         state = self.states[run]
         assert state.motion is not None and state.trajectory is not None
@@ -93,7 +102,7 @@ class Walk:
                 motion = options.refine.refine(scene, state, config, self.batch.device, stage)
             self.states[run] = replace(state, motion=motion)
 
-    def _aim(self, scene: Scene, state: State) -> State:
+    def aimed(self, scene: Scene, state: State) -> State:
         """j* and t*, and the motion from where and when it has to start for its strike to meet the object."""
         motion, trajectory = state.motion, state.trajectory
         assert motion is not None and trajectory is not None

@@ -66,10 +66,11 @@ def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -
     config.render.check_machine()
     scenes = [build_scene(job.config, plan, thing=thing) for job in jobs]
     batch = Batch(scenes, [job.config.seed for job in jobs], device)
-    move = config.stage.object.mover(scenes[0].object.size if thing else config.object.size, threads, device)
+    move = config.stage.object.mover(config.object.size, threads, device)
     walk, failure = Walk(config, plan, batch, move, [Stages(bar) for _ in jobs], [State() for _ in jobs]), None
     try:
-        walk.agents()
+        walk.synthesise()
+        walk.coordinate()
     except FAILURES as error:
         failure = run_error(error)
     shared = (time.perf_counter() - started) / len(jobs)
@@ -108,7 +109,7 @@ def finish(walk: Walk, number: int, job: Job, failure: RunError | None, shared: 
 
     try:
         if failure is None:
-            walk.interaction(number)
+            walk.interact(number)
             if walk.plan.keeps("render"):
                 with stages.stage("render", scene.frames) as stage:
                     video, footage = config.render.draw(so_far({}), walk.batch.device, stage)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from hoi.config import Config, HumanConf, HumanKind, ObjectKind, PlaneContact, SceneConf
-from hoi.data import Body, Plan, Plane, Scene, SceneObject
+from hoi.data import Body, GaussianCloud, Plan, Plane, Scene, SceneObject
 from hoi.errors import under
 from hoi.method.scene_representation import check_apart, check_clear
 from hoi.plan import make_plan, materials_of
@@ -77,13 +77,16 @@ def planes_of(conf: SceneConf, ground_friction: float) -> dict[str, Plane]:
     return planes
 
 
-def load_object(config: Config) -> SceneObject:
-    from hoi.objects.load import load_builtin, load_file, place
+def load_object(config: Config, cloud: GaussianCloud | None = None) -> SceneObject:
+    """The object at its place; `cloud` [m], Z up, in place of the Gaussians that the config names."""
+    from hoi.objects.load import load_builtin, load_cloud, load_file, place
     from hoi.objects.regions import Region, region_of
 
-    conf, mover, placement = config.object, config.stage.object, config.scene.placement
-    spacing = mover.cell(conf.size) / PARTICLES_PER_CELL ** (1 / 3)
-    if conf.kind is ObjectKind.builtin:
+    conf, placement = config.object, config.scene.placement
+    spacing = config.stage.object.cell(conf.size) / PARTICLES_PER_CELL ** (1 / 3)
+    if cloud is not None:
+        loaded = load_cloud(conf.name, cloud, spacing, conf.max_gaussians)
+    elif conf.kind is ObjectKind.builtin:
         loaded = load_builtin(conf.shape or conf.name, spacing, conf.size, conf.max_gaussians)
     else:
         assert conf.path is not None  # checked by `validate`

@@ -11,7 +11,7 @@ from hoi.stages.contract import Draft, ObjectMover, option
 if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import ObjectState, Scene
-    from hoi.method.object_motion import Advanced, Mover
+    from hoi.method.object_motion import Advanced, Mover, World
     from hoi.mpm.collider import Collider
     from hoi.reports import Stage
 
@@ -34,7 +34,7 @@ class ConstantVelocity(ObjectMover):
 
 
 def constant_velocity(
-    scene: Scene,
+    scene: Scene | World,
     state: ObjectState,
     start: float,
     stops: Sequence[float],

@@ -16,7 +16,7 @@ from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import ObjectState, Scene
-    from hoi.method.object_motion import Advanced, Mover
+    from hoi.method.object_motion import Advanced, Mover, World
     from hoi.mpm.collider import Collider
     from hoi.mpm.phases import Tally
     from hoi.reports import Stage
@@ -129,7 +129,7 @@ class MPM(ObjectMover):
 
 
 def advance(
-    scene: Scene,
+    scene: Scene | World,
     state: ObjectState,
     start: float,
     stops: Sequence[float],
