@@ -29,6 +29,7 @@ from hoi.config import (
 )
 from hoi.data import Check, Material, Omission, Plan, Step
 from hoi.errors import InputError
+from hoi.mpm.laws import LAWS
 from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
 from hoi.video_prior.files import check_video_prior
 
@@ -49,9 +50,6 @@ STARTS = {
     MotionInit.file: "the file",
 }
 """What stage 1 starts from."""
-
-NEVER_RIGID = frozenset({"drucker_prager", "fluid", "snow"})
-"""Constitutive models of what does not move as one piece."""
 
 
 def material_of(conf: MaterialConf) -> Material:
@@ -319,7 +317,7 @@ def _phases_check(mpm: MPMConf, materials: tuple[Material, ...]) -> Check:
     """Whether steps of the MPM may be left out, and at what cost."""
     if not mpm.phases:
         return Check("phases", "mpm", "stage.object.phases is false: every step is taken")
-    loose = sorted({material.model for material in materials} & NEVER_RIGID)
+    loose = sorted({material.model for material in materials if not LAWS[material.model].rigid})
     bound = f"up to {mpm.vibration_tolerance:g} of the size of vibration and creep left out"
     if loose:
         return Check("phases", "mpm, rest", f"{bound}; {', '.join(loose)} flies as one piece only until it is touched")

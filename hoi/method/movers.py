@@ -13,6 +13,7 @@ from hoi.config import Config, MPMConf, Spline
 from hoi.data import Array, Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
 from hoi.errors import RunError
 from hoi.mpm.collider import Collider
+from hoi.mpm.laws import LAWS
 from hoi.mpm.state import centre_of_mass, initial_state, kick
 from hoi.runner.progress import Stage
 
@@ -79,7 +80,7 @@ def _mpm(
 ) -> Advanced:
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
-    from hoi.plan import NEVER_RIGID, cell_size
+    from hoi.plan import cell_size
 
     thing, dx = scene.object, cell_size(conf, size)
     planes = scene.planes
@@ -107,7 +108,7 @@ def _mpm(
 
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
     reaches = [reach_of(plane, dx, width) for plane in planes]
-    whole = not any(material.model in NEVER_RIGID for material in thing.materials)
+    whole = all(LAWS[material.model].rigid for material in thing.materials)
     walk = Walk(
         state,
         thing.masses,
