@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from hoi.mpm.laws import LAWS
+
 
 class Device(StrEnum):
     auto = "auto"
@@ -30,13 +32,9 @@ class ObjectKind(StrEnum):
 
 
 class MaterialModel(StrEnum):
-    fixed_corotated = "fixed_corotated"
-    neo_hookean = "neo_hookean"
-    von_mises = "von_mises"
-    viscoplastic = "viscoplastic"
-    drucker_prager = "drucker_prager"
-    snow = "snow"
-    fluid = "fluid"
+    """The laws in `hoi.mpm.laws`."""
+
+    vars().update({name: name for name in LAWS})
 
 
 class PlaneContact(StrEnum):

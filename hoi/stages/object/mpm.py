@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from omegaconf import MISSING
 
 from hoi.errors import RunError
+from hoi.mpm.laws import LAWS
 from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 
 if TYPE_CHECKING:
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
     from hoi.mpm.collider import Collider
     from hoi.mpm.phases import Tally
     from hoi.reports import Stage
-
-NEVER_RIGID = frozenset({"drucker_prager", "fluid", "snow"})
-"""Constitutive models of what does not move as one piece."""
 
 
 class Precision(StrEnum):
@@ -116,7 +114,7 @@ class MPM(ObjectMover):
         """Whether steps may be left out, and at what cost."""
         if not self.phases:
             return "mpm", "stage.object.phases is false: every step is taken"
-        loose = sorted(models & NEVER_RIGID)
+        loose = sorted(model for model in models if not LAWS[model].rigid)
         bound = f"up to {self.vibration_tolerance:g} of the size of vibration and creep left out"
         if loose:
             return "mpm, rest", f"{bound}; {', '.join(loose)} flies as one piece only until it is touched"
@@ -178,7 +176,7 @@ def advance(
 
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
     reaches = [reach_of(plane, dx, width) for plane in planes]
-    whole = not any(material.model in NEVER_RIGID for material in thing.materials)
+    whole = all(LAWS[material.model].rigid for material in thing.materials)
     walk = Walk(
         state,
         thing.masses,
