@@ -2,7 +2,7 @@
 
 import os
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Read by Taichi when it is imported: no banner, no look for a newer version on the network.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
