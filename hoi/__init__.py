@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hoi.data import Body, Camera, GaussianCloud, Material, Motion, ObjectTrajectory, Run, Scene, SceneObject
     from hoi.errors import InputError, RunError
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Read by OpenMP when torch is imported: a thread that waits sleeps. Beside another busy program spinning takes ten
 # times as long.
