@@ -6,7 +6,6 @@ seeds in turn. The gap is that of `hoi.method.coordination.reach_gap`; beside it
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hoi.config import CONF, Approach, Config, HMSDConf, register
+from analysis import command, sheets
+from hoi.config import Approach, Config, HMSDConf
 from hoi.data import Motion, Scene
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,24 +40,14 @@ def positions(directions: int, distances: Sequence[float], heights: Sequence[flo
 
 
 def config_of(overrides: Sequence[str]) -> Config:
-    """The config of overrides, as for hoi.run.
+    """The config of overrides, as for hoi.run, without pictures.
 
     Raises:
         InputError: a bad one.
     """
-    from hydra import compose, initialize_config_dir
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
+    from hoi.config import compose
 
-    from hoi.config.validate import to_config
-    from hoi.run import one_line
-
-    register()
-    try:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            return to_config(compose("config", ["render=none", *overrides]))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(one_line(error)) from error
+    return compose.config_of("render=none", *overrides)
 
 
 def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seeds: Sequence[int]) -> pd.DataFrame:
@@ -143,11 +133,12 @@ def off_ground(scene: Scene, motion: Motion) -> float:
     return float(joint_paths(scene.body, motion)[..., 2].min(axis=1).max())
 
 
+@command.exit_code("analysis.reach")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.reach",
-        description="How near the striking limb comes to objects all around, before and after stage 2.",
-        epilog="example: python -m analysis.reach -o reach.csv scene=kick_soccer_ball",
+    parser = command.parser(
+        "analysis.reach",
+        "How near the striking limb comes to objects all around, before and after stage 2.",
+        "-o reach.csv scene=kick_soccer_ball",
     )
     parser.add_argument("-o", "--out", type=Path, help="the table as .csv")
     parser.add_argument("--directions", type=int, default=DIRECTIONS, help=f"default {DIRECTIONS}")
@@ -156,15 +147,11 @@ def main() -> None:
     arguments = parser.parse_args()
     from hoi.method.coordination import REACHED
 
-    try:
-        places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
-        table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))
-        if arguments.out:
-            table.to_csv(arguments.out, index=False)
-    except (InputError, RunError, OSError) as error:
-        print(f"analysis.reach: {error}", file=sys.stderr)
-        sys.exit(3 if isinstance(error, RunError) else 2)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.3f}"))
+    places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
+    table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))
+    if arguments.out:
+        table.to_csv(arguments.out, index=False)
+    print(sheets.plain(table, digits=3))
     reached = table["gap"] <= REACHED
     by_height = table.assign(reached=reached).groupby(table["z"].round(2))[["reached", "gap"]]
     print(by_height.agg({"reached": "sum", "gap": ["count", "median", "max"]}).to_string())
@@ -172,4 +159,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -13,13 +13,14 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis import command
+from analysis.command import timed
 from hoi.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,13 +35,9 @@ ROOT = Path(__file__).parents[1]
 
 def milliseconds(step: Callable[[], object], turns: int) -> dict[str, float | str]:
     """Best and median [ms] of `turns` turns, after `WARM_UP` that do not count; and the median's pictures a second."""
-    spent = []
-    for _ in range(WARM_UP + turns):
-        began = time.perf_counter()
-        step()
-        spent.append(1e3 * (time.perf_counter() - began))
-    median = float(np.median(spent[WARM_UP:]))
-    return {"best ms": min(spent[WARM_UP:]), "median ms": median, "FPS": 1e3 / median}
+    spent = [1e3 * seconds for seconds in timed(step, turns, WARM_UP)]
+    median = float(np.median(spent))
+    return {"best ms": min(spent), "median ms": median, "FPS": 1e3 / median}
 
 
 # --- pictures --------------------------------------------------------------------------------------------------------
@@ -272,11 +269,12 @@ def with_ratios(rows: list[Row]) -> list[Row]:
     ]
 
 
+@command.exit_code("analysis.render_bench")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.render_bench",
-        description="Milliseconds a picture, of the default scene's person and of larger clouds.",
-        epilog="example: python -m analysis.render_bench --threads 1 2",
+    parser = command.parser(
+        "analysis.render_bench",
+        "Milliseconds a picture, of the default scene's person and of larger clouds.",
+        "--threads 1 2",
     )
     parser.add_argument("--person", type=int, default=26_000, help="Gaussians of the default scene's person")
     parser.add_argument("--gaussians", type=int, default=100_000, help="of the synthetic cloud (default 100000)")
@@ -290,25 +288,21 @@ def main() -> None:
     arguments = parser.parse_args()
     import pandas as pd  # not at the top: the peer's interpreter may not have it
 
-    try:
-        if min(arguments.gaussians, arguments.turns, *arguments.threads) < 1 or arguments.memory < 0:
-            raise InputError("--gaussians, --turns and --threads must be 1 or more, --memory 0 or more")
-        table = pd.DataFrame(with_ratios(measure_all(arguments)))
-        peaks = [memory(arguments.memory, gradients) for gradients in (False, True) if arguments.memory]
-    except InputError as error:
-        print(f"analysis.render_bench: {error}", file=sys.stderr)
-        sys.exit(2)
+    from analysis import sheets
+
+    if min(arguments.gaussians, arguments.turns, *arguments.threads) < 1 or arguments.memory < 0:
+        raise InputError("--gaussians, --turns and --threads must be 1 or more, --memory 0 or more")
+    table = pd.DataFrame(with_ratios(measure_all(arguments)))
+    peaks = [memory(arguments.memory, gradients) for gradients in (False, True) if arguments.memory]
     if arguments.device == "cpu" and arguments.peer is None:
         print("gsplat is not installed here; --peer PYTHON names an interpreter that has it")
-    from analysis.precision.report import facts
-
-    print(*(f"{name}: {value}" for name, value in facts(1).items() if name != "threads"), sep="; ")
+    print(*(f"{name}: {value}" for name, value in sheets.facts(1).items() if name != "threads"), sep="; ")
     print(f"pictures of {WIDTH} x {HEIGHT}, {arguments.turns} of each")
-    print(table.to_string(index=False, na_rep="", float_format=lambda value: f"{value:.2f}"))
+    print(sheets.plain(table, na_rep=""))
     if peaks:
         print("Memory that a picture adds, on 1 thread of the CPU")
-        print(pd.DataFrame(peaks).to_string(index=False, float_format=lambda value: f"{value:.0f}"))
+        print(sheets.plain(pd.DataFrame(peaks), digits=0))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

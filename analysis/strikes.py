@@ -15,7 +15,6 @@ the joints after stage 2. Exit codes: 0 done; 2 bad input; 3 a stage failed.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis import command, sheets
 from hoi.config import Approach, HMSDConf
 from hoi.data import Motion
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,11 +134,12 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     return pd.DataFrame(rows), paths
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.strikes",
-        description="What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
-        epilog="example: python -m analysis.strikes -o runs/strikes --seeds 10",
+@command.exit_code("analysis.strikes")
+def main() -> None:
+    parser = command.parser(
+        "analysis.strikes",
+        "What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
+        "-o runs/strikes --seeds 10",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/strikes"), help="folder for the tables")
     parser.add_argument("--seeds", type=int, default=10)
@@ -147,22 +148,15 @@ def main() -> int:
     options = parser.parse_args()
     import torch
 
-    from analysis.precision.report import facts, markdown_list, markdown_table
-
-    try:
-        table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
-        options.out.mkdir(parents=True, exist_ok=True)
-        noted = facts(torch.get_num_threads())
-        table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
-        np.savez_compressed(options.out / "strikes.npz", **paths)
-        cells = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy().tolist()]
-        text = ["# What stage 2 does to motions", markdown_list(noted), markdown_table([list(table.columns), *cells])]
-        (options.out / "strikes.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
-    except (InputError, RunError, OSError) as error:
-        print(f"analysis.strikes: {error}", file=sys.stderr)
-        return 3 if isinstance(error, RunError) else 2
+    table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
+    options.out.mkdir(parents=True, exist_ok=True)
+    noted = sheets.facts(torch.get_num_threads())
+    table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
+    np.savez_compressed(options.out / "strikes.npz", **paths)
+    rows = sheets.markdown_table(table.to_dict("records"))
+    text = sheets.markdown(["# What stage 2 does to motions", sheets.markdown_list(noted), rows])
+    (options.out / "strikes.md").write_text(text, encoding="utf-8")
     print(options.out / "strikes.md")
-    return 0
 
 
 if __name__ == "__main__":

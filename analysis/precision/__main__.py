@@ -16,7 +16,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from hoi.errors import InputError, RunError
+from analysis import command
+from hoi.errors import InputError
 
 if TYPE_CHECKING:
     from analysis.precision.pictures import View
@@ -28,36 +29,24 @@ STARTS = ".starts"
 """Hidden: the runs that contacts are refined from are none of the table's."""
 
 
-class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        print(f"analysis.precision: {message}", file=sys.stderr)
-        sys.exit(2)
+def refuse(message: str) -> NoReturn:
+    raise InputError(message)
 
 
+@command.exit_code("analysis.precision")
 def main() -> None:
-    parser = Parser(
-        prog="python -m analysis.precision",
-        description="Error against run time, of physics, renderer and stage 3: tables, reports, pictures.",
-        epilog="example: python -m analysis.precision --problems physics --quick",
+    parser = command.parser(
+        "analysis.precision",
+        "Error against run time, of physics, renderer and stage 3: tables, reports, pictures.",
+        "--problems physics --quick",
     )
+    parser.error = refuse  # in one line, without the usage
     parser.add_argument("-o", "--out", type=Path, default=DEFAULT_OUT, help=f"folder (default {DEFAULT_OUT})")
     parser.add_argument("--problems", help="names, physics, renderer or contacts, separated by commas")
     parser.add_argument("--quick", action="store_true", help="few and small variants of two problems and of pictures")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each short variant (default 3)")
     parser.add_argument("--threads", type=int, default=1, help="of each run (default 1)")
     arguments = parser.parse_args()
-    try:
-        _study(arguments)
-    except (InputError, OSError) as error:
-        parser.error(str(error))
-    except RunError as error:
-        print(f"analysis.precision: {error}", file=sys.stderr)
-        sys.exit(3)
-
-
-def _study(arguments: argparse.Namespace) -> None:
     from analysis.precision.pictures import VIEWS
     from analysis.precision.problems import EXACT
     from analysis.precision.scenes import SCENES
@@ -87,6 +76,7 @@ def _study(arguments: argparse.Namespace) -> None:
 
 
 def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: int) -> None:
+    from analysis import sheets
     from analysis.precision import convergence, report, run
 
     began = time.perf_counter()
@@ -95,7 +85,7 @@ def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: in
         problems, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads, cores=cores
     )
     orders += convergence.by_grid(table)
-    paths = report.write(arguments.out, problems, table, orders, report.facts(arguments.threads))
+    paths = report.write(arguments.out, problems, table, orders, sheets.facts(arguments.threads))
     for order in orders:
         print(f"order    {order.series} ({order.quantity}): {order.observed:.2f} {order.verdict}")
     print(f"{len(table)} runs in {time.perf_counter() - began:.0f} s")
@@ -103,13 +93,14 @@ def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: in
 
 
 def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
-    from analysis.precision import picture_report, pictures, report
+    from analysis import sheets
+    from analysis.precision import picture_report, pictures
 
     began = time.perf_counter()
     table, off, truths = pictures.study(
         views, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads
     )
-    paths = picture_report.write(arguments.out, views, table, off, truths, report.facts(arguments.threads))
+    paths = picture_report.write(arguments.out, views, table, off, truths, sheets.facts(arguments.threads))
     for name, difference in off.items():
         print(f"{name:8} float64 against brute force: {difference:.1e} {picture_report.verdict(difference)}")
     print(f"{len(table)} ways to make a picture in {time.perf_counter() - began:.0f} s")
@@ -117,14 +108,15 @@ def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
 
 
 def _contacts(arguments: argparse.Namespace) -> None:
-    from analysis.precision import contact_report, contacts, report
+    from analysis import sheets
+    from analysis.precision import contact_report, contacts
 
     began = time.perf_counter()
     scenes, seeds = (
         (contacts.QUICK_SCENES, contacts.QUICK_SEEDS) if arguments.quick else (contacts.SCENES, contacts.SEEDS)
     )
     table = contacts.study(arguments.out / STARTS, scenes, seeds, arguments.threads, arguments.quick)
-    paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
+    paths = contact_report.write(arguments.out, table, sheets.facts(arguments.threads))
     if not arguments.quick:
         from analysis.precision import closeups
 
@@ -138,4 +130,4 @@ def _contacts(arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -5,15 +5,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib import pyplot as plt
 
+from analysis.charts import INK, MUTED
 from analysis.precision.contacts import Start, Way
-from analysis.precision.report import INK, MUTED
 from analysis.reach import config_of, quiet
 from hoi.data import Array, Motion
 from hoi.method.refine_stage import refine

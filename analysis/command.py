@@ -1,0 +1,48 @@
+"""How the commands of `analysis` present themselves, end, and time what they measure. Python's own modules alone."""
+
+import argparse
+import functools
+import sys
+import time
+from collections.abc import Callable
+from typing import ParamSpec
+
+from hoi.errors import InputError, RunError
+
+Given = ParamSpec("Given")
+
+
+def parser(module: str, description: str, example: str) -> argparse.ArgumentParser:
+    """Of `python -m module`; the example is what may follow that."""
+    name = f"python -m {module}"
+    return argparse.ArgumentParser(prog=name, description=description, epilog=f"example: {name} {example}")
+
+
+def exit_code(module: str) -> Callable[[Callable[Given, int | None]], Callable[Given, int]]:
+    """Makes `main` return the exit code: its own or 0; after one line on standard error 2 for bad input, 3 for a failed
+    run."""
+
+    def of(main: Callable[Given, int | None]) -> Callable[Given, int]:
+        @functools.wraps(main)
+        def ended(*args: Given.args, **kwargs: Given.kwargs) -> int:
+            try:
+                return main(*args, **kwargs) or 0
+            except (InputError, RunError, OSError) as error:
+                print(f"{module}: {error}", file=sys.stderr)
+                return 3 if isinstance(error, RunError) else 2
+
+        return ended
+
+    return of
+
+
+def timed(
+    step: Callable[[], object], turns: int, warm_up: int = 1, clock: Callable[[], float] = time.perf_counter
+) -> list[float]:
+    """What each of `turns` turns takes [s], after `warm_up` that do not count."""
+    spent = []
+    for _ in range(warm_up + turns):
+        began = clock()
+        step()
+        spent.append(clock() - began)
+    return spent[warm_up:]
