@@ -2,10 +2,15 @@
 
 import argparse
 import functools
+import importlib.util
+import json
+import os
+import subprocess
 import sys
 import time
-from collections.abc import Callable
-from typing import ParamSpec
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ParamSpec
 
 from hoi.errors import InputError, RunError
 
@@ -46,3 +51,25 @@ def timed(
         step()
         spent.append(clock() - began)
     return spent[warm_up:]
+
+
+def add_peer(parser: argparse.ArgumentParser, package: str, name: str) -> None:
+    """--peer: the Python that has another system to measure beside ours."""
+    parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec(package) else None,
+                        metavar="PYTHON", help=f"one with {name} (default: this one, if it has it)")  # fmt: skip
+
+
+def called_in(
+    python: str, call: str, says: Callable[[list[str]], str], environment: Mapping[str, str] | None = None
+) -> Any:
+    """What `call`, "module.function(...)" of this package, returns in a process of that Python, by way of JSON.
+
+    Raises:
+        InputError: it failed; `says` words it, given the last line that it wrote, if any.
+    """
+    code = f"import json; from analysis import {call.partition('.')[0]}; print(json.dumps({call}))"
+    root, environment = Path(__file__).parents[1], os.environ | dict(environment or {})
+    done = subprocess.run([python, "-c", code], cwd=root, capture_output=True, text=True, env=environment)
+    if done.returncode != 0:
+        raise InputError(says(done.stderr.strip().splitlines()[-1:]))
+    return json.loads(done.stdout.strip().splitlines()[-1])

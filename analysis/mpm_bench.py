@@ -4,11 +4,8 @@ An elastic ball on cells of 2/64 m, 8 particles a cell, E 1e7, nu 0.45, 1000 kg/
 measured beside it, on all cores as it always runs, where it is installed: here, or in the Python that --peer names.
 """
 
-import importlib.util
-import json
 import math
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 
@@ -84,20 +81,6 @@ def row(solver: str, particles: int, ms: float) -> dict[str, float | str]:
     return {"solver": solver, "particles": particles, "ms/step": ms, "M particle-steps/s": particles / ms / 1e3}
 
 
-def genesis_row(particles: int, peer: str) -> dict[str, float | str]:
-    """What `measure_genesis` says in the interpreter `peer`.
-
-    Raises:
-        InputError: it failed there.
-    """
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    code = f"import json; from analysis import mpm_bench as b; print(json.dumps(b.measure_genesis({particles})))"
-    done = subprocess.run([peer, "-c", code], cwd=root, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise InputError(f"--peer {peer}: Genesis failed there: {done.stderr.strip().splitlines()[-1:]}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
 @command.exit_code("analysis.mpm_bench")
 def main() -> None:
     parser = command.parser(
@@ -110,8 +93,7 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=["neo_hookean", "fixed_corotated"])
     parser.add_argument("--precision", nargs="+", default=["float32"], choices=["float32", "float64"])
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
-    parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("genesis") else None,
-                        metavar="PYTHON", help="one with Genesis (default: this one, if it has it)")  # fmt: skip
+    command.add_peer(parser, "genesis", "Genesis")
     arguments = parser.parse_args()
     import pandas as pd  # not at the top: the peer's interpreter may not have it
 
@@ -128,7 +110,9 @@ def main() -> None:
             for precision in arguments.precision
         ]
         if arguments.peer is not None:
-            rows.append(genesis_row(particles, arguments.peer))
+            call = f"mpm_bench.measure_genesis({particles})"
+            says = f"--peer {arguments.peer}: Genesis failed there: {{}}".format
+            rows.append(command.called_in(arguments.peer, call, says))
     table = pd.DataFrame(rows)
     if arguments.peer is None:
         print("Genesis is not installed here; --peer PYTHON names an interpreter that has it")

@@ -16,12 +16,13 @@ import numpy as np
 
 from analysis import command, sheets
 from hoi.config import Approach, Config, HMSDConf
-from hoi.data import Motion, Scene
+from hoi.data import Array, Motion, Scene
 from hoi.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from hoi.method.hmsd import ScoreDistillation
     from hoi.runner.progress import Stage
 
 DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
@@ -58,20 +59,13 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
         RunError: a stage failed.
     """
     import pandas as pd
-    import torch
 
+    from hoi.body.skinning import joint_paths
     from hoi.method import movers
     from hoi.method.coordination import coordinate, meet
-    from hoi.method.scene import build_scene, load_object
-    from hoi.method.synthesis import load_distillation, synthesise
+    from hoi.method.scene import load_object
 
-    config = config_of(overrides)
-    if not isinstance(config.stage.motion, HMSDConf):
-        raise InputError("analysis.reach needs a motion prior: stage/motion=hmsd")
-    torch.set_num_threads(config.threads or torch.get_num_threads())
-    scene = build_scene(config)
-    distillation = load_distillation(scene, config.stage.motion, "cpu", config.scene.approach is Approach.stand)
-    motions = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", [quiet("motion") for _ in seeds])
+    scene, distillation, motions = first_stage("analysis.reach", config_of(overrides), seeds)
     rows = []
     for number, place in enumerate(places):
         seed, free = seeds[number % len(seeds)], motions[number % len(seeds)]
@@ -82,25 +76,38 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
         stage = quiet("coordinate")
         before, target = meet(around, free, trajectory, there)
         (after,) = coordinate([around], [before], trajectory, [target], distillation, there, [seed], "cpu", [stage])
+        paths = {"before": joint_paths(scene.body, before), "after": joint_paths(scene.body, after)}
         rows.append(
-            {
-                "seed": seed,
-                "x": place[0],
-                "y": place[1],
-                "z": trajectory.com[0, 2],
-                "gap": stage.numbers["reach_gap"],
-                "slide before": stage.numbers["slide_before"],
-                "slide after": stage.numbers["slide_after"],
-                "jerk before": mean_jerk(scene, before),
-                "jerk after": mean_jerk(scene, after),
-                "pose moved": pose_distance(scene, before, after),
-                "off ground before": off_ground(scene, before),
-                "off ground after": off_ground(scene, after),
-            }
+            {"seed": seed, "x": place[0], "y": place[1], "z": trajectory.com[0, 2], "gap": stage.numbers["reach_gap"]}
+            | {f"slide {when}": stage.numbers[f"slide_{when}"] for when in paths}
+            | {f"jerk {when}": mean_jerk(joints, free.fps) for when, joints in paths.items()}
+            | {"pose moved": pose_distance(*paths.values())}
+            | {f"off ground {when}": off_ground(joints) for when, joints in paths.items()}
         )
         print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return pd.DataFrame(rows)
+
+
+def first_stage(module: str, config: Config, seeds: Sequence[int]) -> tuple[Scene, ScoreDistillation, list[Motion]]:
+    """The scene, its distillation, and the motion of each seed as stage 1 leaves it.
+
+    Raises:
+        InputError: the config is without a motion prior, which `module` needs.
+    """
+    import torch
+
+    from hoi.method.scene import build_scene
+    from hoi.method.synthesis import load_distillation, synthesise
+
+    conf = config.stage.motion
+    if not isinstance(conf, HMSDConf):
+        raise InputError(f"{module} needs a motion prior: stage/motion=hmsd")
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    scene = build_scene(config)
+    distillation = load_distillation(scene, conf, "cpu", config.scene.approach is Approach.stand)
+    motions = synthesise(scene, distillation, conf, seeds, "cpu", [quiet("motion") for _ in seeds])
+    return scene, distillation, motions
 
 
 def quiet(name: str) -> Stage:
@@ -110,27 +117,20 @@ def quiet(name: str) -> Stage:
     return Stage(name, lambda units: None, [])
 
 
-def mean_jerk(scene: Scene, motion: Motion) -> float:
-    """Mean size of the joints' third derivative [m/s^3]."""
-    from hoi.body.skinning import joint_paths
-
-    jerk = np.diff(joint_paths(scene.body, motion), n=3, axis=0) * motion.fps**3
-    return float(np.linalg.norm(jerk, axis=-1).mean())
+def mean_jerk(joints: Array, fps: float) -> float:
+    """Mean size of the third derivative of joints (T, 24, 3) [m/s^3]."""
+    return float(np.linalg.norm(np.diff(joints, n=3, axis=0) * fps**3, axis=-1).mean())
 
 
-def pose_distance(scene: Scene, before: Motion, after: Motion) -> float:
-    """Mean distance of the joints, each motion seen from its pelvis [m]."""
-    from hoi.body.skinning import joint_paths
-
-    seen = [paths - paths[:, :1] for paths in (joint_paths(scene.body, motion) for motion in (before, after))]
+def pose_distance(before: Array, after: Array) -> float:
+    """Mean distance of joints (T, 24, 3) of two motions, each seen from its pelvis [m]."""
+    seen = [joints - joints[:, :1] for joints in (before, after)]
     return float(np.linalg.norm(seen[0] - seen[1], axis=-1).mean())
 
 
-def off_ground(scene: Scene, motion: Motion) -> float:
-    """Largest height of the lowest joint over the frames [m]."""
-    from hoi.body.skinning import joint_paths
-
-    return float(joint_paths(scene.body, motion)[..., 2].min(axis=1).max())
+def off_ground(joints: Array) -> float:
+    """Largest height of the lowest of the joints (T, 24, 3) over the frames [m]."""
+    return float(joints[..., 2].min(axis=1).max())
 
 
 @command.exit_code("analysis.reach")

@@ -7,15 +7,12 @@ this Python, if it has gsplat, or in the one that --peer names.
 """
 
 import argparse
-import importlib.util
-import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,7 +27,6 @@ if TYPE_CHECKING:
 Row = dict[str, float | str]
 WARM_UP = 3
 WIDTH, HEIGHT = 720, 480
-ROOT = Path(__file__).parents[1]
 
 
 def milliseconds(step: Callable[[], object], turns: int) -> dict[str, float | str]:
@@ -118,7 +114,8 @@ def memory(count: int, gradients: bool) -> dict[str, float | str]:
         InputError: it failed there.
     """
     freed = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}  # glibc then gives back what is freed, and nothing hides in it
-    given = _in_process(sys.executable, f"peak_growth({count}, {gradients})", "memory", freed)
+    call = f"render_bench.peak_growth({count}, {gradients})"
+    given = command.called_in(sys.executable, call, lambda said: _failed("memory", sys.executable, said), freed)
     what = "picture and gradients" if gradients else "picture"
     return {"Gaussians": count, "what": what, "peak MB": given / 1e6, "bytes/Gaussian": given / count}
 
@@ -156,6 +153,10 @@ def _resident(field: str) -> float:
     return 1024.0 * int(line.split()[1])
 
 
+def _failed(what: str, python: str, said: list[str]) -> str:
+    return f"{what}: {python} failed: {' '.join(said)}"
+
+
 # --- gsplat on a CPU -------------------------------------------------------------------------------------------------
 
 
@@ -190,8 +191,11 @@ def projection_rows(
                 pose=camera.world_to_camera.astype(np.float32),
                 lens=np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float32),
             )
-            call = f"gsplat_projection({str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns})"
-            rows.append(head | {"by": "gsplat's PyTorch"} | rest | _in_process(peer, call, "--peer"))
+            given = f"{str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns}"
+            theirs = command.called_in(
+                peer, f"render_bench.gsplat_projection({given})", lambda said: _failed("--peer", peer, said)
+            )
+            rows.append(head | {"by": "gsplat's PyTorch"} | rest | theirs)
     return rows
 
 
@@ -209,17 +213,6 @@ def gsplat_projection(path: str, width: int, height: int, threads: int, turns: i
         return milliseconds(
             lambda: _fully_fused_projection(means, covariances, pose[None], lens[None], width, height), turns
         )
-
-
-def _in_process(python: str, call: str, what: str, environment: dict[str, str] | None = None) -> Any:
-    """What a function of this module returns in a process of its own."""
-    code = f"import json; from analysis import render_bench as b; print(json.dumps(b.{call}))"
-    done = subprocess.run(
-        [python, "-c", code], cwd=ROOT, capture_output=True, text=True, env=os.environ | (environment or {})
-    )
-    if done.returncode != 0:
-        raise InputError(f"{what}: {python} failed: {' '.join(done.stderr.strip().splitlines()[-1:])}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
 
 
 # --- the table -------------------------------------------------------------------------------------------------------
@@ -283,8 +276,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=15, help="pictures of which the best and the median count")
     parser.add_argument("--memory", type=int, default=1_000_000, help="Gaussians of the cloud for it; 0: leave it out")
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
-    parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("gsplat") else None,
-                        metavar="PYTHON", help="one with gsplat (default: this one, if it has it)")  # fmt: skip
+    command.add_peer(parser, "gsplat", "gsplat")
     arguments = parser.parse_args()
     import pandas as pd  # not at the top: the peer's interpreter may not have it
 

@@ -24,9 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis import command, sheets
-from hoi.config import Approach, HMSDConf
 from hoi.data import Motion
-from hoi.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,14 +95,11 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
         RunError: a stage failed.
     """
     import pandas as pd
-    import torch
 
-    from analysis.reach import config_of, quiet
+    from analysis.reach import config_of, first_stage, quiet
     from hoi.body.skinning import joint_paths
     from hoi.method import movers
     from hoi.method.coordination import coordinate, meet
-    from hoi.method.scene import build_scene
-    from hoi.method.synthesis import load_distillation, synthesise
     from hoi.motion.evaluator import load_evaluator
 
     evaluator, rows, paths = load_evaluator(), [], {}
@@ -113,14 +108,9 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
             own = (f"scene.motion_prompt={strike.sentence}", f"scene.placement.position={strike.position}")
             limb = f"scene.striking_limb={strike.limb}"
             config = config_of(["human.gaussians=8000", *own, limb, *overrides, f"++stage.motion.init={init}"])
-            if not isinstance(config.stage.motion, HMSDConf):
-                raise InputError("analysis.strikes needs a motion prior: stage/motion=hmsd")
-            torch.set_num_threads(config.threads or torch.get_num_threads())
-            scene, still = build_scene(config), config.scene.approach is Approach.stand
-            distillation = load_distillation(scene, config.stage.motion, "cpu", still)
+            scene, distillation, free = first_stage("analysis.strikes", config, seeds)
             trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet("free motion"))
             stages = [quiet("stage") for _ in seeds]
-            free = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", stages)
             met = [meet(scene, motion, trajectory, config) for motion in free]
             scenes, begun, targets = [scene] * len(seeds), [motion for motion, _ in met], [target for _, target in met]
             after = coordinate(scenes, begun, trajectory, targets, distillation, config, seeds, "cpu", stages)

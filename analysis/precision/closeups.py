@@ -30,24 +30,21 @@ SIZE = 320
 
 def closeup(start: Start, motion: Motion, camera: Camera) -> Array:
     """RGB (height, width, 3) of the whole frame nearest to t_c, with the start's motion replaced."""
-    push = start.run.state.contact.push if start.run.state.contact else None
-    assert push is not None
     shown = replay(replace(start.run, state=replace(start.run.state, motion=motion)))
     with torch.no_grad():
-        picture = rasterise(join(shown.parts(math.floor(push.frame + 0.5))), camera, background(camera))
+        picture = rasterise(join(shown.parts(math.floor(start.push.frame + 0.5))), camera, background(camera))
     return picture.colour.clamp(0, 1).numpy()
 
 
 def across(start: Start) -> Camera:
     """The view across the strike, with the point of contact in its middle."""
-    push = start.run.state.contact.push if start.run.state.contact else None
-    assert push is not None
+    push = start.push
     azimuth = math.atan2(push.normal[1], push.normal[0]) + math.pi / 2
     return viewpoint(Framing(np.asarray(push.point, np.float64), RADIUS), azimuth, width=SIZE, height=SIZE)
 
 
-def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
-    """A row a start, a column a way, before the first one what it was.
+def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> Path:
+    """A row a start, a column a way, before the first one what it was; the path.
 
     Raises:
         InputError: a prior's weights are missing or damaged.
@@ -76,3 +73,4 @@ def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
     figure.supxlabel("deepest in the window, gap at t_c; pictures at the whole frame nearest to t_c", color=MUTED)
     figure.savefig(path)
     plt.close(figure)
+    return path

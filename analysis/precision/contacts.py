@@ -18,7 +18,7 @@ import torch
 
 from analysis.reach import config_of, quiet
 from hoi.config import Config, HMSDConf
-from hoi.data import Motion, Run
+from hoi.data import Contact, Motion, Run
 from hoi.errors import RunError
 from hoi.method.hmsd import PoseParameters
 from hoi.method.refine_stage import refine
@@ -60,6 +60,13 @@ class Start:
     seed: int
     run: Run
     overrides: tuple[str, ...]
+
+    @property
+    def push(self) -> Contact:
+        """The contact that matters; there must be one."""
+        push = self.run.state.contact.push if self.run.state.contact else None
+        assert push is not None
+        return push
 
 
 def ways(quick: bool = False) -> list[Way]:
