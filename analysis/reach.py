@@ -6,7 +6,6 @@ seeds in turn. The gap is that of `hoi.method.attraction.reach_gap`; beside it s
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,12 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hoi.config import Config
 from hoi.config.compose import config_of
-from hoi.data import Motion, Scene
-from hoi.errors import InputError, RunError
+from hoi.data import Array
+from hoi.errors import InputError
+
+from . import command, sheets
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from hoi.method.optimization import Walk
 
 DIRECTIONS, DISTANCES, HEIGHTS = 5, (0.6, 1.2, 2.5), (None, 0.3, 0.6, 0.9)
 """Of the object, as seen from the origin: the first ahead, the others evenly around [m]; None is on the ground."""
@@ -46,87 +50,88 @@ def measure(overrides: Sequence[str], places: Sequence[list[float | None]], seed
     """
     import pandas as pd
 
+    from hoi.body.skinning import joint_paths
     from hoi.method.attraction import Batch
     from hoi.method.object_motion import at_rest, free_motion
     from hoi.method.optimization import Walk
-    from hoi.plan import make_plan
     from hoi.reports import Stages, quiet
-    from hoi.runner.jobs import torch_threads
-    from hoi.runner.scene import build_scene, load_object
+    from hoi.runner.scene import load_object
 
-    config = config_of("render=none", *overrides)
-    plan = make_plan(config)
-    if "motion_prior" not in plan.uses or "attraction" not in plan.uses:
-        raise InputError(
-            "analysis.reach needs a motion prior and attraction: stage/motion=hmsd stage/attraction=windowed"
-        )
-    scene, rows = build_scene(config, plan), []
-    stages = [Stages() for _ in seeds]
-    with torch_threads(config.threads):
-        walk = Walk(config, plan, Batch([scene] * len(seeds), seeds, "cpu"), at_rest, stages)
-        walk.synthesise()
+    first = first_stage("analysis.reach", config_of("render=none", *overrides), seeds)
+    scene, rows = first.batch.scenes[0], []
     for number, place in enumerate(places):
-        seed, state = seeds[number % len(seeds)], walk.states[number % len(seeds)]
+        seed, state = seeds[number % len(seeds)], first.states[number % len(seeds)]
         z = "null" if place[2] is None else place[2]
         there = config_of("render=none", *overrides, f"scene.placement.position=[{place[0]},{place[1]},{z}]")
         around = replace(scene, object=load_object(there))
         trajectory, _ = free_motion(around, at_rest, quiet("free motion"))
-        met = Walk(there, plan, Batch([around], [seed], "cpu"), at_rest, [Stages()], distillation=walk.distillation)
-        met.states = [replace(state, trajectory=trajectory)]
-        with torch_threads(config.threads):
-            before = met.aimed(around, met.states[0]).motion
-            met.coordinate()
-        after, numbers = met.states[0].motion, met.stages[0].reports[0].numbers
+        batch = Batch([around], [seed], "cpu")
+        walk = Walk(there, first.plan, batch, at_rest, [Stages()], [replace(state, trajectory=trajectory)])
+        walk.distillation = first.distillation
+        before = walk.aimed(around, walk.states[0]).motion
+        walk.coordinate()
+        after, numbers = walk.states[0].motion, walk.stages[0].reports[0].numbers
         assert before is not None and after is not None
+        paths = {"before": joint_paths(scene.body, before), "after": joint_paths(scene.body, after)}
         rows.append(
-            {
-                "seed": seed,
-                "x": place[0],
-                "y": place[1],
-                "z": trajectory.com[0, 2],
-                "gap": numbers["reach_gap"],
-                "slide before": numbers["slide_before"],
-                "slide after": numbers["slide_after"],
-                "jerk before": mean_jerk(scene, before),
-                "jerk after": mean_jerk(scene, after),
-                "pose moved": pose_distance(scene, before, after),
-                "off ground before": off_ground(scene, before),
-                "off ground after": off_ground(scene, after),
-            }
+            {"seed": seed, "x": place[0], "y": place[1], "z": trajectory.com[0, 2], "gap": numbers["reach_gap"]}
+            | {f"slide {when}": numbers[f"slide_{when}"] for when in paths}
+            | {f"jerk {when}": mean_jerk(joints, before.fps) for when, joints in paths.items()}
+            | {"pose moved": pose_distance(*paths.values())}
+            | {f"off ground {when}": off_ground(joints) for when, joints in paths.items()}
         )
         print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return pd.DataFrame(rows)
 
 
-def mean_jerk(scene: Scene, motion: Motion) -> float:
-    """Mean size of the joints' third derivative [m/s^3]."""
-    from hoi.body.skinning import joint_paths
+def first_stage(module: str, config: Config, seeds: Sequence[int]) -> Walk:
+    """The method as far as stage 1 for each of the seeds; the object stays where it is.
 
-    jerk = np.diff(joint_paths(scene.body, motion), n=3, axis=0) * motion.fps**3
-    return float(np.linalg.norm(jerk, axis=-1).mean())
+    Raises:
+        InputError: the config is without a motion prior, which `module` needs.
+    """
+    import torch
+
+    from hoi.method.attraction import Batch
+    from hoi.method.object_motion import at_rest
+    from hoi.method.optimization import Walk
+    from hoi.plan import make_plan
+    from hoi.reports import Stages
+    from hoi.runner.scene import build_scene
+
+    plan = make_plan(config)
+    if "motion_prior" not in plan.uses:
+        raise InputError(f"{module} needs a motion prior: stage/motion=hmsd")
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    batch = Batch([build_scene(config, plan)] * len(seeds), seeds, "cpu")
+    walk = Walk(config, plan, batch, at_rest, [Stages() for _ in seeds])
+    walk.synthesise()
+    return walk
 
 
-def pose_distance(scene: Scene, before: Motion, after: Motion) -> float:
-    """Mean distance of the joints, each motion seen from its pelvis [m]."""
-    from hoi.body.skinning import joint_paths
+def mean_jerk(joints: Array, fps: float) -> float:
+    """Mean size of the third derivative of joints (T, 24, 3) [m/s^3]."""
+    return float(np.linalg.norm(np.diff(joints, n=3, axis=0) * fps**3, axis=-1).mean())
 
-    seen = [paths - paths[:, :1] for paths in (joint_paths(scene.body, motion) for motion in (before, after))]
+
+def pose_distance(before: Array, after: Array) -> float:
+    """Mean distance of joints (T, 24, 3) of two motions, each seen from its pelvis [m]."""
+    seen = [joints - joints[:, :1] for joints in (before, after)]
     return float(np.linalg.norm(seen[0] - seen[1], axis=-1).mean())
 
 
-def off_ground(scene: Scene, motion: Motion) -> float:
-    """Largest height of the lowest joint over the frames [m]."""
-    from hoi.body.skinning import joint_paths
-
-    return float(joint_paths(scene.body, motion)[..., 2].min(axis=1).max())
+def off_ground(joints: Array) -> float:
+    """Largest height of the lowest of the joints (T, 24, 3) over the frames [m]."""
+    return float(joints[..., 2].min(axis=1).max())
 
 
+@command.exit_code("analysis.reach")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.reach",
-        description="How near the striking limb comes to objects all around, before and after stage 2.",
-        epilog="example: python -m analysis.reach -o reach.csv scene=kick_soccer_ball",
+    parser = command.parser(
+        "analysis.reach",
+        "How near the striking limb comes to objects all around, before and after stage 2.",
+        "-o reach.csv scene=kick_soccer_ball",
     )
     parser.add_argument("-o", "--out", type=Path, help="the table as .csv")
     parser.add_argument("--directions", type=int, default=DIRECTIONS, help=f"default {DIRECTIONS}")
@@ -135,15 +140,11 @@ def main() -> None:
     arguments = parser.parse_args()
     from hoi.method.attraction import REACHED
 
-    try:
-        places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
-        table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))
-        if arguments.out:
-            table.to_csv(arguments.out, index=False)
-    except (InputError, RunError, OSError) as error:
-        print(f"analysis.reach: {error}", file=sys.stderr)
-        sys.exit(3 if isinstance(error, RunError) else 2)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.3f}"))
+    places = positions(max(arguments.directions, 1), DISTANCES, HEIGHTS)
+    table = measure(arguments.overrides, places, range(max(arguments.seeds, 1)))
+    if arguments.out:
+        table.to_csv(arguments.out, index=False)
+    print(sheets.plain(table, digits=3))
     reached = table["gap"] <= REACHED
     by_height = table.assign(reached=reached).groupby(table["z"].round(2))[["reached", "gap"]]
     print(by_height.agg({"reached": "sum", "gap": ["count", "median", "max"]}).to_string())
@@ -151,4 +152,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

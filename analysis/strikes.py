@@ -15,7 +15,6 @@ the joints after stage 2. Exit codes: 0 done; 2 bad input; 3 a stage failed.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +25,8 @@ import numpy as np
 
 from hoi.config.compose import config_of
 from hoi.data import Motion
-from hoi.errors import InputError, RunError
+
+from . import command, sheets
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,14 +100,9 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     import pandas as pd
 
     from hoi.body.skinning import joint_paths
-    from hoi.method.attraction import Batch
-    from hoi.method.object_motion import at_rest
-    from hoi.method.optimization import Walk
     from hoi.motion.evaluator import load_evaluator
-    from hoi.plan import make_plan
-    from hoi.reports import Stages
-    from hoi.runner.jobs import torch_threads
-    from hoi.runner.scene import build_scene
+
+    from .reach import first_stage
 
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:
@@ -116,22 +111,15 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
             limb = f"scene.striking_limb={strike.limb}"
             start = f"++stage.motion.init={init}"
             config = config_of("render=none", "human.gaussians=8000", *own, limb, *overrides, start)
-            plan = make_plan(config)
-            if "motion_prior" not in plan.uses:
-                raise InputError("analysis.strikes needs a motion prior: stage/motion=hmsd")
-            batch = Batch([build_scene(config, plan)] * len(seeds), seeds, "cpu")
-            walk = Walk(config, plan, batch, at_rest, [Stages() for _ in seeds])
-            with torch_threads(config.threads):
-                walk.synthesise()
-                free = [state.motion for state in walk.states if state.motion is not None]
-                walk.coordinate()
-            after = [state.motion for state in walk.states if state.motion is not None]
-            scene, distillation = batch.scenes[0], walk.distillation
+            walk = first_stage("analysis.strikes", config, seeds)
+            scene, distillation = walk.batch.scenes[0], walk.distillation
             assert distillation is not None
-            numbers_of = [stages.reports[-1].numbers for stages in walk.stages]
+            free = [state.motion for state in walk.states if state.motion is not None]
+            walk.coordinate()
+            after = [state.motion for state in walk.states if state.motion is not None]
             facts_of_it = {"start": init, "strike": strike.sentence, "n": len(seeds)}
             rows.append({**facts_of_it, "stage": 1, **judged(strike, free, distillation, evaluator)})
-            gap = float(np.median([numbers.get("reach_gap", np.nan) for numbers in numbers_of]))
+            gap = float(np.median([stages.reports[-1].numbers.get("reach_gap", np.nan) for stages in walk.stages]))
             numbers = judged(strike, after, distillation, evaluator)
             rows.append({**facts_of_it, "stage": 2, **numbers, "gap [m]": gap})
             paths[f"{init}/{number}"] = np.stack([joint_paths(scene.body, motion) for motion in after])
@@ -139,11 +127,12 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     return pd.DataFrame(rows), paths
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.strikes",
-        description="What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
-        epilog="example: python -m analysis.strikes -o runs/strikes --seeds 10",
+@command.exit_code("analysis.strikes")
+def main() -> None:
+    parser = command.parser(
+        "analysis.strikes",
+        "What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
+        "-o runs/strikes --seeds 10",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/strikes"), help="folder for the tables")
     parser.add_argument("--seeds", type=int, default=10)
@@ -152,22 +141,15 @@ def main() -> int:
     options = parser.parse_args()
     import torch
 
-    from .precision.report import facts, markdown_list, markdown_table
-
-    try:
-        table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
-        options.out.mkdir(parents=True, exist_ok=True)
-        noted = facts(torch.get_num_threads())
-        table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
-        np.savez_compressed(options.out / "strikes.npz", **paths)
-        cells = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy().tolist()]
-        text = ["# What stage 2 does to motions", markdown_list(noted), markdown_table([list(table.columns), *cells])]
-        (options.out / "strikes.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
-    except (InputError, RunError, OSError) as error:
-        print(f"analysis.strikes: {error}", file=sys.stderr)
-        return 3 if isinstance(error, RunError) else 2
+    table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
+    options.out.mkdir(parents=True, exist_ok=True)
+    noted = sheets.facts(torch.get_num_threads())
+    table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
+    np.savez_compressed(options.out / "strikes.npz", **paths)
+    rows = sheets.markdown_table(table.to_dict("records"))
+    text = sheets.markdown(["# What stage 2 does to motions", sheets.markdown_list(noted), rows])
+    (options.out / "strikes.md").write_text(text, encoding="utf-8")
     print(options.out / "strikes.md")
-    return 0
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import torch
 
 from hoi.config import Config
 from hoi.config.compose import config_of
-from hoi.data import Motion, Run
+from hoi.data import Contact, Motion, Run
 from hoi.errors import RunError
 from hoi.method.hmsd import PoseParameters
 from hoi.motion.evaluator import load_evaluator
@@ -59,6 +59,13 @@ class Start:
     seed: int
     run: Run
     overrides: tuple[str, ...]
+
+    @property
+    def push(self) -> Contact:
+        """The contact that matters; there must be one."""
+        push = self.run.state.contact.push if self.run.state.contact else None
+        assert push is not None
+        return push
 
 
 def ways(quick: bool = False) -> list[Way]:
@@ -128,8 +135,8 @@ def study(folder: Path, scenes: Sequence[str], seeds: int, threads: int, quick: 
         strange = float("nan")
         for way in sorted(ways(quick), key=lambda way: way.kind == "none"):
             config = config_of("render=none", *start.overrides, *way.overrides)
-            stage, began = quiet("refine"), time.perf_counter()
             refine = config.stage.refine.refine
+            stage, began = quiet("refine"), time.perf_counter()
             refined = motion if way.kind == "none" else refine(scene, start.run.state, config, "cpu", stage)
             seconds = 0.0 if way.kind == "none" else time.perf_counter() - began
             numbers = stage.numbers

@@ -255,12 +255,17 @@ def study(
             row["failed"] = str(error)
         rows.append(row)
         say("{problem:8} {variant:24} {seconds:9.3g} s  error {error:.2e}".format(**{"seconds": 0, "error": 0} | row))
-    table = pd.DataFrame(rows)
-    table["front"] = False
-    for _, group in table.groupby("problem"):
-        table.loc[group.index, "front"] = pareto_front(group["seconds"].to_numpy(), group["error"].to_numpy(), GAIN)
+    table = with_front(pd.DataFrame(rows), "problem")
     order = {problem.name: index for index, problem in enumerate(problems)}
     return table.sort_values("problem", key=lambda column: column.map(order), kind="stable").reset_index(drop=True)
+
+
+def with_front(table: pd.DataFrame, by: str) -> pd.DataFrame:
+    """The table, and in "front" whether a row is on the Pareto front of those that are the same in column `by`."""
+    table["front"] = False
+    for _, group in table.groupby(by):
+        table.loc[group.index, "front"] = pareto_front(group["seconds"].to_numpy(), group["error"].to_numpy(), GAIN)
+    return table
 
 
 def _measured(

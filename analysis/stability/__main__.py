@@ -7,7 +7,6 @@ Writes stability.csv (one row a case) and stability.png (the map). Exit codes: 0
 2 bad arguments; 130 interrupted, with the cases not run marked so.
 """
 
-import argparse
 import os
 import sys
 import time
@@ -18,26 +17,17 @@ from pathlib import Path
 
 from hoi.errors import InputError
 
+from .. import command
 from .cases import CASES, Case, quick
 from .verdict import Verdict
 
 
+@command.exit_code("analysis.stability")
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = _parse(arguments)
-    try:
-        if options.case is not None:
-            return _one(options.case)
-        return _all(_selected(options.family, options.quick), options.jobs, options.out)
-    except (InputError, OSError) as error:
-        print(f"analysis.stability: {error}", file=sys.stderr)
-        return 2
-
-
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.stability",
-        description="Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
-        epilog="example: python -m analysis.stability --quick -o runs/stability",
+    parser = command.parser(
+        "analysis.stability",
+        "Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
+        "--quick -o runs/stability",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/stability"), help="folder for the CSV and the map")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
@@ -47,7 +37,9 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error(f"--jobs must be 1 or more, got {options.jobs}")
-    return options
+    if options.case is not None:
+        return _one(options.case)
+    return _all(_selected(options.family, options.quick), options.jobs, options.out)
 
 
 def _selected(family: str | None, only_quick: bool) -> list[Case]:
