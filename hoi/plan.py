@@ -28,7 +28,7 @@ from hoi.config import (
     WindowedConf,
 )
 from hoi.data import Check, Material, Omission, Plan, Step
-from hoi.errors import InputError
+from hoi.errors import InputError, under
 from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
 from hoi.video_prior.files import check_video_prior
 
@@ -281,7 +281,8 @@ def _no_refinement(refine: RefineConf) -> str | None:
     if not isinstance(refine, WindowConf):
         return f"stage/refine is {refine.kind.value}: the output of stage 2 is final"
     if isinstance(refine, VideoSDSConf):
-        check_video_prior(refine)
+        with under("stage.refine"):
+            check_video_prior(refine.prior, refine.checkpoint)
     return None
 
 

@@ -78,11 +78,6 @@ def stream_generators(seeds: Sequence[int], name: str) -> list[torch.Generator]:
     return [torch.Generator().manual_seed(stream_seed(seed, name)) for seed in seeds]
 
 
-def leg_length(rest_joints: Tensor) -> Tensor:
-    """Height of the pelvis above the lowest joint in the T-pose [m]."""
-    return rest_joints[0, 1] - rest_joints[:, 1].min()
-
-
 @dataclass(frozen=True)
 class ScoreDistillation:
     """L_HMSD for one prior, prompt and body."""

@@ -5,8 +5,9 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from hoi.body.capsules import Capsules, carry, distance_to_axes, fit_capsules
-from hoi.body.skeleton import JOINT_NAMES
+from hoi.body.capsules import Capsules, carry, fit_capsules
+from hoi.body.segments import segment_distances
+from hoi.body.skeleton import CHAINS, JOINT_NAMES
 from hoi.body.skinning import joint_frames
 from hoi.config import ImpulseConf
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
@@ -14,15 +15,6 @@ from hoi.errors import RunError
 from hoi.method.contact import Limbs
 from hoi.mpm.collider import Collider
 
-CHAINS = {
-    "left leg": (1, 4, 7, 10),
-    "right leg": (2, 5, 8, 11),
-    "left arm": (16, 18, 20, 22),
-    "right arm": (17, 19, 21, 23),
-    "head": (12, 15),
-    "trunk": (0, 3, 6, 9, 13, 14),
-}
-"""The joints that push together: each joint is in one chain."""
 NEAR = 0.1
 """A limb that comes this near to where the object would be, box to box, may push it too [m]."""
 
@@ -101,7 +93,7 @@ def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:
     low = (np.minimum(starts, ends) - radii[:, None]).min(axis=0)
     high = (np.maximum(starts, ends) + radii[:, None]).max(axis=0)
     near = points[np.all((points > low) & (points < high), axis=1)]
-    return bool((distance_to_axes(near, starts, ends) >= radii).all())
+    return bool((segment_distances(near, starts, ends) >= radii).all())
 
 
 def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> list[str]:

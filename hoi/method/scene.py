@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hoi.body.segments import segment_distances
 from hoi.body.skeleton import PARENTS
 from hoi.config import Config, HumanConf, HumanKind, MPMConf, ObjectKind, PlaneContact, SceneConf
-from hoi.data import Array, Body, Motion, Plane, Scene, SceneObject
-from hoi.errors import InputError
+from hoi.data import Body, Motion, Plane, Scene, SceneObject
+from hoi.errors import InputError, under
 from hoi.plan import approaches, cell_size, materials_of
 
 PARTICLES_PER_CELL = 4
@@ -54,7 +55,8 @@ def load_body(conf: HumanConf, seed: int) -> Body:
         from hoi.importers.smpl import load_smpl
 
         outfit = conf.person or "man"
-        return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
+        with under("human", "person"):
+            return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
     from hoi.body.avatar import load_avatar
 
     return load_avatar(Path(conf.path), Path(conf.skinning) if conf.skinning else None)
@@ -149,14 +151,6 @@ def is_apart(scene: Scene, motion: Motion | None = None) -> bool:
     if len(particles) == 0:
         return True
     gap, nearest = KDTree(skin).query(particles)
-    inside = _bone_distance(particles, joints) < _bone_distance(skin[nearest], joints)
-    return not bool((inside & (gap < 0.2)).any())
-
-
-def _bone_distance(points: Array, joints: Array) -> Array:
-    """Distance of points (N, 3) to the nearest bone of joints (24, 3) [m], (N,)."""
-    starts, ends = joints[list(PARENTS[1:])], joints[1:]
-    along = ends - starts
-    share = ((points[:, None] - starts) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
-    closest = starts + np.clip(share, 0, 1)[..., None] * along
-    return np.linalg.norm(points[:, None] - closest, axis=-1).min(axis=1)
+    bones = joints[list(PARENTS[1:])], joints[1:]
+    to_bones, of_skin = (segment_distances(points, *bones).min(axis=1) for points in (particles, skin[nearest]))
+    return not bool(((to_bones < of_skin) & (gap < 0.2)).any())

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from hoi.body.skinning import joint_paths, stand_motion
+from hoi.body.kinematics import leg_length
+from hoi.body.skinning import sole_height, stand_motion
 from hoi.config import HMSDConf
 from hoi.config.choices import MotionInit, Sampler
 from hoi.data import Motion, Scene
-from hoi.errors import RunError
+from hoi.errors import RunError, under
 from hoi.importers.motions import read_motion
-from hoi.method.hmsd import PoseParameters, ScoreDistillation, leg_length, optimise, stream_generators
+from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise, stream_generators
 from hoi.motion import features
 from hoi.motion.diffusion import ancestral_sample, ddim_sample
 from hoi.motion.prior import load_prior
@@ -23,12 +24,11 @@ def load_distillation(scene: Scene, conf: HMSDConf, device: str, stand: bool = F
     """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still."""
     prior = load_prior(Path(conf.checkpoint) if conf.checkpoint else None, device)
     body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
-    standing = joint_paths(scene.body, stand_motion(scene.body, 1, scene.fps))
     return ScoreDistillation(
         prior=prior,
         text=prior.encode_text([scene.motion_prompt]),
         leg_ratio=float(leg_length(prior.rest_joints) / body_leg),
-        sole_height=float(standing[0, :, 2].min()),
+        sole_height=sole_height(scene.body),
         guidance=conf.guidance,
         rescale=conf.guidance_rescale,
         t_min=conf.t_min,
@@ -53,7 +53,8 @@ def synthesise(
     start = stand_motion(scene.body, scene.frames, scene.fps)
     if conf.init is MotionInit.file:
         assert conf.path is not None  # checked by `validate`
-        start, notes = read_motion(Path(conf.path), scene.body, scene.frames, scene.fps, conf.start_time, conf.up)
+        with under("stage.motion", "start_time", "up"):
+            start, notes = read_motion(Path(conf.path), scene.body, scene.frames, scene.fps, conf.start_time, conf.up)
         for stage in stages:
             stage.notes.extend(notes)
     if distillation is None:

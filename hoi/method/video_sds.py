@@ -8,7 +8,7 @@ from torch import Tensor
 
 from hoi.config import Config, VideoSDSConf
 from hoi.data import Motion, ObjectTrajectory, Scene
-from hoi.errors import RefineStopped
+from hoi.errors import RefineStopped, under
 from hoi.refine.clip import Clip, across, contact_framing, viewpoints
 from hoi.refine.geometric import Geometry
 from hoi.refine.meeting import meet
@@ -121,7 +121,16 @@ def video_sds(
     conf = config.stage.refine
     assert isinstance(conf, VideoSDSConf)
     try:
-        prior = load_video_prior(conf, device)
+        with under("stage.refine", "prior", "checkpoint", "width", "clip_frames"):
+            prior = load_video_prior(
+                conf.prior,
+                device,
+                checkpoint=conf.checkpoint,
+                width=conf.width,
+                height=conf.height,
+                clip_frames=conf.clip_frames,
+                offload=conf.offload,
+            )
         prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
         return refine_with(prior, scene, motion, trajectory, window, conf, config.seed, device, stage, enough)
     except (MemoryError, RuntimeError) as error:
@@ -150,7 +159,8 @@ def refine_with(
     """
     stage.notes.append(f"video prior: {prior.name}")
     pose = WindowedPose(motion, window, device)
-    frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
+    with under("stage.refine"):
+        frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
     clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
     contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
     views = viewpoints(clip, contact, conf.viewpoints, conf.elevation, conf.distance, prior.size)

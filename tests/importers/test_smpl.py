@@ -237,7 +237,7 @@ def test_names_what_is_wrong(tmp_path, changes, message):
         ({"betas": [np.nan]}, r"betas=\[nan\]: must be finite"),
         ({"betas": [1e4]}, "the person would be .* m tall"),
         ({"gaussians": 5}, "gaussians=5: must be at least 100"),
-        ({"outfit": "king"}, "human.person='king': no such outfit; choose one of man, woman"),
+        ({"outfit": "king"}, "person='king': no such outfit; choose one of man, woman"),
     ],
 )
 def test_refuses_impossible_options(files, options, message):

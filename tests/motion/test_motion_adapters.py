@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,6 +164,11 @@ def test_stage_1_takes_a_motion_file_as_it_is(composed, tmp_path, monkeypatch):
     expected, _ = read_motion(path, scene.body, 40, 20.0, start_time=0.25)
     np.testing.assert_array_equal(motion.body_pose, expected.body_pose)
     np.testing.assert_array_equal(motion.translation, expected.translation)
+    late = replace(config.stage.motion, start_time=9.0)
+    with pytest.raises(
+        InputError, match=r"^stage\.motion\.start_time must be in \[0, 1\.45\] s, which .* lasts, got 9$"
+    ):
+        synthesise(scene, None, late, [0], "cpu", [stage])
     assert len(motion) == 40 and "kick.npz" in stage.notes[0] and "held for 15 of 40 frames" in stage.notes[0]
 
 
