@@ -87,7 +87,7 @@ class Record:
         run = self.run
         if run.scene is None or run.state.motion is None:
             return None
-        return run.scene.body.skinning_weights.argmax(axis=1)
+        return run.scene.body.dominant_joints
 
 
 def find(folder: Path) -> list[Path]:

@@ -7,6 +7,7 @@ frames), `time` is in seconds, `step` an MPM substep, `iteration` an optimiser i
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,11 @@ class Body:
     pose_directions: Array | None = None
     """Pose blend shapes: what each entry of R_j - I (joints 1..23, row-major) adds to the T-pose centres [m], shape
     (N, 3, 207); None where posing is skinning alone."""
+
+    @cached_property
+    def dominant_joints(self) -> NDArray[np.intp]:
+        """The joint that moves each Gaussian most, argmax_k w_ik, shape (N,)."""
+        return self.skinning_weights.argmax(axis=1)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from hoi.body.capsules import Capsules, carry, distance_to_axes, fit_capsules
+from hoi.body.capsules import Capsules, carry, fit_capsules
 from hoi.body.limbs import Limbs
+from hoi.body.segments import segment_distances
 from hoi.body.skeleton import CHAINS, JOINT_NAMES
 from hoi.body.skinning import joint_frames
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
@@ -90,7 +91,7 @@ def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:
     low = (np.minimum(starts, ends) - radii[:, None]).min(axis=0)
     high = (np.maximum(starts, ends) + radii[:, None]).max(axis=0)
     near = points[np.all((points > low) & (points < high), axis=1)]
-    return bool((distance_to_axes(near, starts, ends) >= radii).all())
+    return bool((segment_distances(near, starts, ends) >= radii).all())
 
 
 def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> list[str]:

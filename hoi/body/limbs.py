@@ -12,7 +12,7 @@ class Limbs:
 
     def __init__(self, body: Body, motion: Motion) -> None:
         self._body, self._motion = body, motion
-        dominant = body.skinning_weights.argmax(axis=1)
+        dominant = body.dominant_joints
         self.members = [np.flatnonzero(dominant == joint) for joint in range(JOINT_COUNT)]
         self.joints = [joint for joint in range(JOINT_COUNT) if len(self.members[joint])]
         means = posed_means(body, motion)

@@ -77,7 +77,7 @@ def attraction_loss(positions: Tensor, goal: Tensor, weights: Tensor) -> Tensor:
 
 def limb_gaussians(body: Body, joint: int) -> NDArray[np.integer]:
     """Indices of the Gaussians whose dominant joint it is."""
-    return np.flatnonzero(body.skinning_weights.argmax(axis=1) == joint)
+    return np.flatnonzero(body.dominant_joints == joint)
 
 
 def carried_strike(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Array:

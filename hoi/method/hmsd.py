@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hoi.body.kinematics import joint_positions
-from hoi.body.skinning import joint_paths, stand_motion
+from hoi.body.kinematics import joint_positions, leg_length
+from hoi.body.skinning import sole_height, stand_motion
 from hoi.data import Motion, Scene
 from hoi.errors import RunError
 from hoi.importers.motions import read_motion
@@ -83,11 +83,6 @@ class PoseParameters:
 def stream_generators(seeds: Sequence[int], name: str) -> list[torch.Generator]:
     """The stream `name` of each run (see `hoi.streams`)."""
     return [torch.Generator().manual_seed(stream_seed(seed, name)) for seed in seeds]
-
-
-def leg_length(rest_joints: Tensor) -> Tensor:
-    """Height of the pelvis above the lowest joint in the T-pose [m]."""
-    return rest_joints[0, 1] - rest_joints[:, 1].min()
 
 
 @dataclass(frozen=True)
@@ -193,12 +188,11 @@ def load_distillation(scene: Scene, settings: "HMSD", device: str, stand: bool =
     """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still."""
     prior = load_prior(Path(settings.checkpoint) if settings.checkpoint else None, device)
     body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
-    standing = joint_paths(scene.body, stand_motion(scene.body, 1, scene.fps))
     return ScoreDistillation(
         prior=prior,
         text=prior.encode_text([scene.motion_prompt]),
         leg_ratio=float(leg_length(prior.rest_joints) / body_leg),
-        sole_height=float(standing[0, :, 2].min()),
+        sole_height=sole_height(scene.body),
         guidance=settings.guidance,
         rescale=settings.guidance_rescale,
         t_min=settings.t_min,

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import KDTree
 
+from hoi.body.segments import segment_distances
 from hoi.body.skeleton import PARENTS
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
-from hoi.data import Array, Motion, Plane, Scene, SceneObject
+from hoi.data import Motion, Plane, Scene, SceneObject
 from hoi.errors import InputError
 
 PLANE_TOLERANCE = 1e-4
@@ -60,14 +61,6 @@ def is_apart(scene: Scene, motion: Motion | None = None) -> bool:
     if len(particles) == 0:
         return True
     gap, nearest = KDTree(skin).query(particles)
-    inside = _bone_distance(particles, joints) < _bone_distance(skin[nearest], joints)
-    return not bool((inside & (gap < 0.2)).any())
-
-
-def _bone_distance(points: Array, joints: Array) -> Array:
-    """Distance of points (N, 3) to the nearest bone of joints (24, 3) [m], (N,)."""
-    starts, ends = joints[list(PARENTS[1:])], joints[1:]
-    along = ends - starts
-    share = ((points[:, None] - starts) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
-    closest = starts + np.clip(share, 0, 1)[..., None] * along
-    return np.linalg.norm(points[:, None] - closest, axis=-1).min(axis=1)
+    bones = joints[list(PARENTS[1:])], joints[1:]
+    to_bones, of_skin = (segment_distances(points, *bones).min(axis=1) for points in (particles, skin[nearest]))
+    return not bool(((to_bones < of_skin) & (gap < 0.2)).any())

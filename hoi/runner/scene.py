@@ -56,7 +56,8 @@ def load_body(conf: HumanConf, seed: int) -> Body:
         from hoi.importers.smpl import load_smpl
 
         outfit = conf.person or "man"
-        return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
+        with under("human", "person"):
+            return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
     from hoi.body.avatar import load_avatar
 
     return load_avatar(Path(conf.path), Path(conf.skinning) if conf.skinning else None)

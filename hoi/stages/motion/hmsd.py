@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from omegaconf import MISSING
 
 from hoi.body.skeleton import JOINT_COUNT, LIMBS
-from hoi.errors import InputError
+from hoi.errors import InputError, under
 from hoi.stages.contract import Draft, MotionSource, Requirements, option
 
 if TYPE_CHECKING:
@@ -143,7 +143,8 @@ class HMSD(MotionSource):
     ) -> list[Motion]:
         from hoi.method.hmsd import synthesise
 
-        return synthesise(scene, distillation, self, seeds, stages)
+        with under(self.key, "start_time", "up"):
+            return synthesise(scene, distillation, self, seeds, stages)
 
     def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
         from hoi.body.skinning import joint_paths

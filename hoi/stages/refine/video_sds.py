@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
+from hoi.errors import under
 from hoi.stages.contract import LARGEST_PICTURE, SMALLEST_PICTURE, Draft, Requirements, option
 from hoi.stages.refine import RefineWhen, WindowedRefinement
 from hoi.video_prior.files import EMBEDDED_PICTURE, check_video_prior
@@ -94,7 +95,8 @@ class VideoSDS(WindowedRefinement):
         own(self.lambda_geometry >= 0, "lambda_geometry", self.lambda_geometry, "0 or more")
 
     def plan(self, config: Config, draft: Draft) -> None:
-        check_video_prior(self)
+        with under(self.key):
+            check_video_prior(self.prior, self.checkpoint)
         super().plan(config, draft)
 
     def described(self) -> str:
@@ -110,8 +112,16 @@ class VideoSDS(WindowedRefinement):
 
         def improve(meeting: Meeting) -> Motion:
             nearest = Nearest(meeting, distance, self.tolerance) if self.when is RefineWhen.needed else None
-            with memory_may_run_out():
-                prior = load_video_prior(self, device)
+            with memory_may_run_out(), under(self.key, "prior", "checkpoint", "width", "clip_frames", "half_width"):
+                prior = load_video_prior(
+                    self.prior,
+                    device,
+                    checkpoint=self.checkpoint,
+                    width=self.width,
+                    height=self.height,
+                    clip_frames=self.clip_frames,
+                    offload=self.offload,
+                )
                 prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
                 where = {"seed": config.seed, "device": device, "stage": stage}
                 improved = video_sds(prior, scene, state, meeting.window, self, **where, enough=nearest)
