@@ -53,8 +53,9 @@ def views(
         return
     motion, trajectory, search = run.state.motion, run.state.trajectory, run.state.contact
     skeleton = None if motion is None else _skeleton(motion, run.scene.body.rest_joints)
-    cloud = run.scene.object.cloud
-    object_colours = colours(cloud)[::object_stride]
+    thing = run.scene.object
+    shown = slice(0, 0 if thing is None else len(thing.cloud), object_stride)
+    object_colours = np.zeros((0, 3)) if thing is None else colours(thing.cloud)[shown]
     for frame, time in enumerate(times):
         transforms, entities = [], [_ground()]
         if skeleton is not None and frame < len(skeleton["positions"]):
@@ -69,8 +70,7 @@ def views(
             com = _pose(trajectory.com[frame])
             transforms.append(_frame("object", trajectory.com[frame]))
             yield time, "/object/com", _bytes(PoseInFrame(timestamp=timestamp(time), frame_id=WORLD, pose=com))
-            points = trajectory.positions[frame, : len(cloud) : object_stride]
-            yield time, "/object/points", _points(time, points, object_colours)
+            yield time, "/object/points", _points(time, trajectory.positions[frame, shown], object_colours)
         if camera_poses is not None and frame < len(camera_poses[0]):
             transforms.append(_frame(CAMERA, *(values[frame] for values in camera_poses)))
         if search is not None:

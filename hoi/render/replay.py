@@ -202,7 +202,7 @@ def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
     """
     scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     person = None if motion is None else _MovingPerson(scene.body, motion, device)
-    thing = None if trajectory is None else _MovingObject(scene.object.cloud, trajectory, device)
+    thing = None if trajectory is None else _MovingObject(scene.thing.cloud, trajectory, device)
     return Replay(person, thing, run, scene.fps)
 
 

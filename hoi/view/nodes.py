@@ -70,7 +70,8 @@ class RunNodes:
         """
         self.marks, self._moments = marks, moments
         assert moments.run.scene is not None  # checked by `hoi.render.replay.replay`
-        self._above = 0.6 * moments.run.scene.object.size  # where the speed is written [m]
+        thing = moments.run.scene.object
+        self._above = 0.0 if thing is None else 0.6 * thing.size  # where the speed is written [m]
         root = f"/{name}"
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         first = moments.at(0)
