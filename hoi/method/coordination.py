@@ -55,7 +55,7 @@ def strike_goal(
     meeting = meeting_frame(scene.frames, target)
     return carried_strike(
         com[meeting],
-        trajectory.positions[meeting, : len(scene.object.cloud)],
+        trajectory.positions[meeting, : len(scene.thing.cloud)],
         posed_means(scene.body, motion, frames=[meeting], subset=limb_gaussians(scene, target.joint))[0],
         joint_paths(scene.body, motion)[:, target.joint],
         meeting,
@@ -107,7 +107,7 @@ def reach_gap(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target
         after = min(before + 1, scene.frames - 1)
         surface, com = (
             (1 - share) * path[before] + share * path[after]
-            for path in (trajectory.positions[:, : len(scene.object.cloud)], trajectory.com)
+            for path in (trajectory.positions[:, : len(scene.thing.cloud)], trajectory.com)
         )
         distance, nearest = KDTree(surface).query(skin)
         inside = ((skin - surface[nearest]) * (surface[nearest] - com)).sum(axis=1) < 0

@@ -81,7 +81,7 @@ def _mpm(
     from hoi.mpm.solver import Simulation
     from hoi.plan import NEVER_RIGID, cell_size
 
-    thing, dx = scene.object, cell_size(conf, size)
+    thing, dx = scene.thing, cell_size(conf, size)
     planes = scene.planes
     times = (np.asarray(stops) - start) / scene.fps
     if collider is not None:
@@ -164,7 +164,7 @@ def constant_velocity(
     collider: Collider | None = None,
 ) -> Advanced:
     """Straight lines: no gravity, no ground, no deformation, and nothing pushes (paper, w/o MPM)."""
-    velocity = centre_of_mass(state.velocities, scene.object.masses)
+    velocity = centre_of_mass(state.velocities, scene.thing.masses)
     states = []
     for stop in stops:
         moved = state.positions + velocity * (stop - start) / scene.fps
@@ -189,7 +189,7 @@ def at_rest(
 
 
 def _rigid_energy(scene: Scene, state: ObjectState) -> tuple[float, float, float]:
-    masses = scene.object.masses
+    masses = scene.thing.masses
     kinetic = 0.5 * float(masses @ (state.velocities**2).sum(axis=1))
     potential = -float(masses @ (state.positions @ scene.gravity))
     return kinetic, 0.0, potential
@@ -197,7 +197,7 @@ def _rigid_energy(scene: Scene, state: ObjectState) -> tuple[float, float, float
 
 def free_motion(scene: Scene, move: Mover, stage: Stage) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
     """The object alone, from t = 0 to T (paper, Object Motion Simulation); with its states, to start again from."""
-    thing = scene.object
+    thing = scene.thing
     start = initial_state(thing.particles, thing.masses, thing.velocity, thing.angular_velocity)
     frames = move(scene, start, 0.0, range(scene.frames), stage)
     return trajectory_of(thing, frames.states, frames.energy, frames.phase), frames.states
@@ -218,9 +218,9 @@ def resimulate(
     frames = [float(frame) for frame in range(scene.frames) if frame >= t_c]
     stops = sorted({soon, *frames})
     after = move(scene, struck, t_c, stops, stage)
-    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.object.masses) - contact.v_post
+    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.thing.masses) - contact.v_post
     stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
-    return _continued(scene.object, free, states, after, [stops.index(frame) for frame in frames])
+    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames])
 
 
 def push(
@@ -245,7 +245,7 @@ def push(
     stage.numbers.update(impulse=float(np.linalg.norm(after.impulse)), pushed_from=first, pushed_until=last)
     if after.pushed is None:
         stage.notes.append("the limb's capsules passed the object without touching it")
-    trajectory = _continued(scene.object, free, states, after, range(len(frames)))
+    trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
     return trajectory, replace(contact, impulse=after.impulse, duration=(last - first) / scene.fps)
 
 

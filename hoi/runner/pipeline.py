@@ -111,9 +111,9 @@ def interaction(
                 motion,
                 joint_paths(scene.body, motion),
                 trajectory,
-                len(scene.object.cloud),
-                mass=float(scene.object.masses.sum()),
-                restitution=scene.object.material.restitution,
+                len(scene.thing.cloud),
+                mass=float(scene.thing.masses.sum()),
+                restitution=scene.thing.material.restitution,
                 tau=contact.tau,
                 distance=contact.distance,
                 between_frames=contact.between_frames,
@@ -249,7 +249,7 @@ def record(run: Run, job: Job, video: "Video | None", footage: Footage | None) -
         write_mp4(video, path.with_suffix(".mp4"))
     points = viewing_points(run.scene, run.state, job.config.human_points)
     write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
-    for line in (*run.scene.object.notes, summary(run.result)):
+    for line in (*run.scene.thing.notes, summary(run.result)):
         print(line, file=sys.stderr)
 
 
