@@ -311,9 +311,7 @@ def fibonacci_sphere(count: int) -> Array:
 
 def select(cloud: GaussianCloud, rows: NDArray[Any]) -> GaussianCloud:
     """The Gaussians of a mask or of indices."""
-    return GaussianCloud(
-        cloud.means[rows], cloud.quaternions[rows], cloud.scales[rows], cloud.opacities[rows], cloud.sh[rows]
-    )
+    return GaussianCloud(*(array[rows] for array in vars(cloud).values()))
 
 
 def rotation_matrices(cloud: GaussianCloud) -> Array:

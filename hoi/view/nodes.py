@@ -19,7 +19,7 @@ from hoi.render.marks import (
     trail,
     trail_colours,
 )
-from hoi.view.moments import UNIT, Moment, Moments, Packed, faded
+from hoi.view.moments import UNIT, Moments, Packed, faded
 
 BONE, NORMAL, IMPULSE = (38, 115, 217), (214, 39, 60), (240, 140, 20)
 LINE, SECTION = (214, 214, 212), (178, 178, 176)
@@ -75,11 +75,7 @@ class RunNodes:
         root = f"/{name}"
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         first = moments.at(0)
-        self._splats = {
-            part: _splats(scene, f"{root}/{part}", packed)
-            for part, packed in (("person", first.person), ("object", first.thing))
-            if packed is not None
-        }
+        self._splats = {part: _splats(scene, f"{root}/{part}", packed) for part, packed in first.items()}
         self._skeleton = self._trail = self._speed = self._particles = None
         if marks.joints is not None:
             self._skeleton = scene.add_line_segments(
@@ -110,17 +106,15 @@ class RunNodes:
         ]
         self._planes = [_plane(scene, f"{root}/ground/{number}", plane) for number, plane in enumerate(marks.planes)]
         if label:
-            scene.add_label(f"{root}/label", label, position=_above(marks, first), anchor="bottom-center")
+            scene.add_label(f"{root}/label", label, position=_above(marks), anchor="bottom-center")
 
     def show(self, frame: int, shown: Shown) -> None:
         """Draw a frame of the run."""
-        moment = self._moments.at(frame)
-        for part, packed in (("person", moment.person), ("object", moment.thing)):
-            if packed is not None:
-                visible = getattr(shown, part)
-                if visible:
-                    self._splats[part].buffer = faded(packed, shown.opacity)
-                self._splats[part].visible = visible
+        for part, packed in self._moments.at(frame).items():
+            visible = getattr(shown, part)
+            if visible:
+                self._splats[part].buffer = faded(packed, shown.opacity)
+            self._splats[part].visible = visible
         if self._skeleton is not None and self.marks.joints is not None:
             if shown.skeleton:
                 self._skeleton.points = bones(self.marks.joints[frame]).astype(np.float32)
@@ -199,7 +193,7 @@ def _plane(scene: viser.SceneApi, name: str, plane: Plane) -> Any:
     )
 
 
-def _above(marks: Marks, first: Moment) -> tuple[float, float, float]:
+def _above(marks: Marks) -> tuple[float, float, float]:
     """A hand above the head, or above the object where there is nobody."""
     if marks.joints is not None:
         x, y, z = map(float, marks.joints[0, 15])
