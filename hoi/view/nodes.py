@@ -82,13 +82,8 @@ class RunNodes:
                 f"{root}/skeleton", bones(marks.joints[0]), BONE, thickness=4, thickness_units="screen", visible=False
             )
         if marks.com is not None and marks.speed is not None and len(marks.com) > 1:
-            self._trail = scene.add_line_segments(
-                f"{root}/trail",
-                trail(marks.com, 0),
-                trail_colours(marks.speed),
-                thickness=3,
-                thickness_units="screen",
-            )
+            ends, colours = trail(marks.com, 0), trail_colours(marks.speed)
+            self._trail = scene.add_line_segments(f"{root}/trail", ends, colours, thickness=3, thickness_units="screen")
             self._speed = scene.add_label(f"{root}/speed", "", anchor="bottom-left", font_screen_scale=0.9)
         if marks.particles is not None and marks.particle_colours is not None:
             self._particles = scene.add_point_cloud(
@@ -193,11 +188,9 @@ def _plane(scene: viser.SceneApi, name: str, plane: Plane) -> Any:
     )
 
 
-def _above(marks: Marks) -> tuple[float, float, float]:
+def _above(marks: Marks) -> Array:
     """A hand above the head, or above the object where there is nobody."""
     if marks.joints is not None:
-        x, y, z = map(float, marks.joints[0, 15])
-        return x, y, z + 0.4
+        return marks.joints[0, 15] + (0, 0, 0.4)
     assert marks.com is not None  # a run shows a person, an object or both
-    x, y, z = map(float, marks.com[0])
-    return x, y, z + 0.5
+    return marks.com[0] + (0, 0, 0.5)
