@@ -34,7 +34,7 @@ def default_parts(person_gaussians: int = PERSON_GAUSSIANS) -> tuple[Splats, Spl
     still = stand_motion(scene.body, 1, scene.fps)
     parameters = (torch.as_tensor(array) for array in (still.translation, still.orientation, still.body_pose))
     (person,) = posed(person_tensors(scene.body), *parameters)
-    return person, from_cloud(scene.object.cloud)
+    return person, from_cloud(scene.thing.cloud)
 
 
 def synthetic_cloud(count: int, degree: int = 3, seed: int = 0) -> Splats:

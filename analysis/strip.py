@@ -78,11 +78,11 @@ def load(path: Path) -> Film:
 
     run = record.read(path)
     motion, trajectory = run.state.motion, run.state.trajectory
-    gaussians = len(scene_of(run, path).object.cloud)
+    scene = scene_of(run, path)
     return Film(
         run=run,
         replay=replay(run),
-        thing=np.zeros((0, 3)) if trajectory is None else trajectory.positions[:, :gaussians].mean(1),
+        thing=np.zeros((0, 3)) if trajectory is None else trajectory.positions[:, : len(scene.thing.cloud)].mean(1),
         joints=np.zeros((0, 24, 3)) if motion is None else record.joints(path),
     )
 
@@ -200,7 +200,7 @@ def _speeds(axes: Axes, shown: Film, chosen: list[int]) -> None:
         highest = speeds[:, joint].max()
     if trajectory is not None:
         speed = np.linalg.norm(trajectory.com_velocity, axis=1)
-        name = shown.run.scene.object.name if shown.run.scene is not None else "object"
+        name = shown.run.scene.thing.name if shown.run.scene is not None else "object"
         axes.plot(np.arange(len(speed)) / shown.fps, speed, color=OBJECT, linewidth=1.6, label=name.replace("_", " "))
         highest = max(highest, speed.max())
     top = 1.12 * highest if highest > 0 else 1.0

@@ -165,7 +165,8 @@ class Scene:
 
     name: str
     body: Body
-    object: SceneObject
+    object: SceneObject | None
+    """None where a person is alone."""
     motion_prompt: str
     frames: int
     """T."""
@@ -174,6 +175,12 @@ class Scene:
     """[m/s^2], shape (3,)."""
     planes: tuple[Plane, ...] = ()
     """What the object cannot enter: the ground first, then walls."""
+
+    @property
+    def thing(self) -> SceneObject:
+        """The object of a scene that has one."""
+        assert self.object is not None
+        return self.object
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import gzip
 import re
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from hoi.data import Array, GaussianCloud
 from hoi.errors import InputError
+
+T = TypeVar("T", bound=Any)
 
 SH_C0 = 0.28209479177387814
 """Y_0, the constant spherical harmonic."""
@@ -241,8 +243,13 @@ def write_splat(cloud: GaussianCloud, path: Path) -> None:
 def sh_basis(directions: Array, degree: int) -> Array:
     """Y_k(d) of the 3DGS basis: unit directions (..., 3) -> (..., (degree + 1)^2), degree 0 to 3."""
     x, y, z = np.moveaxis(directions, -1, 0)
+    return np.stack([np.full_like(x, SH_C0), *higher_harmonics(x, y, z, degree)], -1)
+
+
+def higher_harmonics(x: T, y: T, z: T, degree: int) -> list[T]:
+    """Y_1.. of the 3DGS basis up to a degree, of the components of unit directions: arrays or tensors."""
+    basis: list[Any] = []
     xx, yy, zz = x * x, y * y, z * z
-    basis = [np.full_like(x, SH_C0)]
     if degree > 0:
         basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
     if degree > 1:
@@ -250,10 +257,10 @@ def sh_basis(directions: Array, degree: int) -> Array:
         basis += [-1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy)]
     if degree > 2:
         basis += [-0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z]
-        basis += [-0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy)]
+        basis += [-0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * (xx + yy))]
         basis += [-0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy)]
         basis += [-0.5900435899266435 * x * (xx - 3 * yy)]
-    return np.stack(basis, -1)
+    return basis
 
 
 def sh_degree(cloud: GaussianCloud) -> int:
@@ -304,9 +311,7 @@ def fibonacci_sphere(count: int) -> Array:
 
 def select(cloud: GaussianCloud, rows: NDArray[Any]) -> GaussianCloud:
     """The Gaussians of a mask or of indices."""
-    return GaussianCloud(
-        cloud.means[rows], cloud.quaternions[rows], cloud.scales[rows], cloud.opacities[rows], cloud.sh[rows]
-    )
+    return GaussianCloud(*(array[rows] for array in vars(cloud).values()))
 
 
 def rotation_matrices(cloud: GaussianCloud) -> Array:

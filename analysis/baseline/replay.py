@@ -37,7 +37,7 @@ def replayed(config: Config, scene: Scene, whole: Motion, stages: Stages) -> Sta
         trajectory = carried_on(scene, free, push)
         error = np.linalg.norm(push.v_human - push.v_post) / np.linalg.norm(push.v_post)
         stage.numbers["v_post_error"] = float(error)
-    return State(motion, trajectory, target, _as_given(search, float(scene.object.masses.sum())))
+    return State(motion, trajectory, target, _as_given(search, float(scene.thing.masses.sum())))
 
 
 def _as_given(search: ContactSearch, mass: float) -> ContactSearch:
@@ -79,7 +79,7 @@ def free_path(scene: Scene) -> ObjectTrajectory:
 
     It does not turn, bounce or slow down, and sees no wall.
     """
-    thing, times = scene.object, np.arange(scene.frames)[:, None] / scene.fps
+    thing, times = scene.thing, np.arange(scene.frames)[:, None] / scene.fps
     moved = thing.velocity * times + 0.5 * scene.gravity * times**2
     velocity = thing.velocity + scene.gravity * times
     lowest = float(thing.particles[:, 2].min())
@@ -111,7 +111,7 @@ def carried_on(scene: Scene, free: ObjectTrajectory, contact: Contact) -> Object
 
 
 def _trajectory(scene: Scene, moved: Array, velocity: Array, phase: Sequence[str]) -> ObjectTrajectory:
-    thing = scene.object
+    thing = scene.thing
     mass, start = float(thing.masses.sum()), np.average(thing.particles, axis=0, weights=thing.masses)
     com = start + moved
     kinetic = 0.5 * mass * (velocity**2).sum(axis=1)

@@ -91,7 +91,7 @@ def formula_error(record: Record) -> float:
     if push is None or scene is None:
         return NAN
     v_in = float((push.v_human - push.v_object) @ push.normal)
-    expected = push.v_object + (1 + scene.object.material.restitution) * max(v_in, 0.0) * push.normal
+    expected = push.v_object + (1 + scene.thing.material.restitution) * max(v_in, 0.0) * push.normal
     size = float(np.linalg.norm(expected))
     return NAN if size == 0 else float(np.linalg.norm(push.v_post - expected)) / size
 
@@ -115,7 +115,7 @@ def momentum_error(record: Record) -> float:
     if given == 0:
         return NAN
     velocity, weight = trajectory.com_velocity, scene.gravity * (after - before) / scene.fps
-    taken = float(scene.object.masses.sum()) * (velocity[after] - velocity[before] - weight)
+    taken = float(scene.thing.masses.sum()) * (velocity[after] - velocity[before] - weight)
     return float(np.linalg.norm(push.impulse - taken)) / given
 
 
@@ -160,7 +160,7 @@ def _at_contact(record: Record) -> Array | None:
     rows, frame = joints == push.joint, min(push.frame, len(trajectory.positions) - 1.0)
     if not rows.any() or len(trajectory.positions) < 2:
         return None
-    return Shape(scene.object).distance(object_at(trajectory, push, scene.fps, frame), interpolate(skin, frame)[rows])
+    return Shape(scene.thing).distance(object_at(trajectory, push, scene.fps, frame), interpolate(skin, frame)[rows])
 
 
 def _smallest_distance(record: Record) -> float:
@@ -168,7 +168,7 @@ def _smallest_distance(record: Record) -> float:
     from scipy.spatial import KDTree
 
     scene, trajectory, skin = record.run.scene, record.run.state.trajectory, record.skin
-    if scene is None or trajectory is None or skin is None or not len(scene.object.cloud):
+    if scene is None or trajectory is None or skin is None or not len(scene.thing.cloud):
         return NAN
-    surface = trajectory.positions[:, : len(scene.object.cloud) : 8]
+    surface = trajectory.positions[:, : len(scene.thing.cloud) : 8]
     return min(float(KDTree(now).query(person[::8])[0].min()) for now, person in zip(surface, skin, strict=False))

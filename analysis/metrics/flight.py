@@ -60,7 +60,7 @@ def energy_gain(record: Record) -> float:
             return NAN
         before, start = around
         if push.duration == 0:
-            mass = float(run.scene.object.masses.sum())
+            mass = float(run.scene.thing.masses.sum())
             work = 0.5 * mass * float(push.v_post @ push.v_post - push.v_object @ push.v_object)
             gained = max(0.0, float(total[start] - total[before]) - work)
     after = total[start:]
@@ -140,7 +140,7 @@ def _heights(record: Record) -> tuple[Array, ...]:
 def _strayed(record: Record) -> tuple[Array, Array] | None:
     """Velocity [m/s] and way [m] that nothing explains, (K, 3) each, at the frames before the first touch."""
     scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not len(scene.object.particles) or len(trajectory.com) < 2:
+    if scene is None or trajectory is None or not len(scene.thing.particles) or len(trajectory.com) < 2:
         return None
     touch = first_touch(record)[0]
     path, dt = trajectory.com.astype(np.float64), 1 / scene.fps
@@ -149,8 +149,8 @@ def _strayed(record: Record) -> tuple[Array, Array] | None:
     if not len(steps):
         return np.zeros((0, 3)), np.zeros((0, 3))
     # Mean velocities of the frames; before the first, what the initial velocity has been half a frame earlier.
-    before = np.concatenate([(scene.object.velocity - 0.5 * dt * scene.gravity)[None], steps[:-1]])
-    reach, weight = NEAR * scene.object.size, float(np.linalg.norm(scene.gravity)) * dt
+    before = np.concatenate([(scene.thing.velocity - 0.5 * dt * scene.gravity)[None], steps[:-1]])
+    reach, weight = NEAR * scene.thing.size, float(np.linalg.norm(scene.gravity)) * dt
     coming = before + scene.gravity * dt
     strayed = np.zeros_like(steps)
     for index, (old, new) in enumerate(zip(coming, steps, strict=True)):
@@ -211,9 +211,9 @@ def _missing_effect(record: Record) -> float:
 def _flights(record: Record) -> list[tuple[int, int]]:
     """First and last frames of the stretches in which nothing but gravity can move the object."""
     scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not len(scene.object.particles):
+    if scene is None or trajectory is None or not len(scene.thing.particles):
         return []
-    free, breaks, reach, dt = np.ones(len(trajectory.com), bool), set[int](), NEAR * scene.object.size, 1 / scene.fps
+    free, breaks, reach, dt = np.ones(len(trajectory.com), bool), set[int](), NEAR * scene.thing.size, 1 / scene.fps
     for plane, heights in zip(scene.planes, _heights(record), strict=True):
         free &= heights > reach
         way = (trajectory.com_velocity @ plane.normal) * dt + min(0.0, float(scene.gravity @ plane.normal)) * dt**2

@@ -62,14 +62,14 @@ def meeting(record: Record) -> Meeting | None:
     """How person and object meet; None where one of them is missing."""
     run, skin = record.run, record.skin
     scene, trajectory = run.scene, run.state.trajectory
-    if scene is None or trajectory is None or skin is None or not len(scene.object.cloud):
+    if scene is None or trajectory is None or skin is None or not len(scene.thing.cloud):
         return None
     last = min(len(skin), len(trajectory.positions)) - 1
     if last < 1:
         return None
     push = run.state.contact.push if run.state.contact is not None else None
     joints, distance = record.skin_joints, d_contact(record)
-    surface = trajectory.positions[:, : len(scene.object.cloud)]
+    surface = trajectory.positions[:, : len(scene.thing.cloud)]
     low, high = surface.min(axis=1) - REACH, surface.max(axis=1) + REACH
     near, meet = _near(skin[: last + 1], joints, low, high)
     times = {float(frame) for frame in near}
@@ -82,10 +82,10 @@ def meeting(record: Record) -> Meeting | None:
     count = len(frames)
     gap, depth, joint = np.full(count, math.inf), np.zeros(count), np.full(count, -1)
     by_joint, touching = np.zeros((count, JOINT_COUNT), bool), np.zeros(count, bool)
-    shape = Shape(scene.object)
+    shape = Shape(scene.thing)
     for index, frame in enumerate(frames):
         points, particles = interpolate(skin, frame), object_at(trajectory, push, scene.fps, float(frame))
-        outside = particles[: len(scene.object.cloud)]
+        outside = particles[: len(scene.thing.cloud)]
         rows = _within(points, outside.min(axis=0) - REACH, outside.max(axis=0) + REACH)
         if not len(rows):
             continue

@@ -44,7 +44,7 @@ def person_object_volume(record: Record) -> float:
             corners = (hull.corners() - rest) @ turn.T + place
             near = np.all((particles >= corners.min(axis=0)) & (particles <= corners.max(axis=0)), axis=1)
             inside[near] |= hull.contains((particles[near] - place) @ np.linalg.inv(turn).T + rest)
-        total += span * float(run.scene.object.volumes[inside].sum())
+        total += span * float(run.scene.thing.volumes[inside].sum())
     return total / min(len(trajectory.positions), len(run.state.motion)) / LITRE
 
 
@@ -65,7 +65,7 @@ def object_ground_volume(record: Record) -> float:
     heights, scene = _object_heights(record), record.run.scene
     if heights is None or scene is None:
         return NAN
-    return float(((heights < 0) @ scene.object.volumes).mean()) / LITRE
+    return float(((heights < 0) @ scene.thing.volumes).mean()) / LITRE
 
 
 def feet_ground_depth(record: Record) -> float:
@@ -111,7 +111,7 @@ def ground_of(record: Record) -> Plane | None:
 def _object_heights(record: Record) -> Array | None:
     """Of all particles over the nearest plane [m], (T, P); None without object or planes."""
     scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not scene.planes or not len(scene.object.particles):
+    if scene is None or trajectory is None or not scene.planes or not len(scene.thing.particles):
         return None
     heights = height_above(scene.planes[0], trajectory.positions)
     for plane in scene.planes[1:]:

@@ -67,7 +67,7 @@ def limb_collider(
         elif len(limb[0].joints):
             notes.append(f"the {chain} is in the object when the {striker} comes to push it: it pushes nothing")
     capsules, starts, ends = zip(*limbs, strict=True)
-    fitted, least = np.concatenate([each.radii for each in capsules]), spacing(scene.object.cloud.means)
+    fitted, least = np.concatenate([each.radii for each in capsules]), spacing(scene.thing.cloud.means)
     if fitted.min() < least:
         notes.append(f"limbs thinner than the object's Gaussians are apart push as if of radius {least:.3f} m")
     collider = Collider(

@@ -8,9 +8,9 @@ Exit codes: 0 done; 2 bad input; 3 the disk is full or broken; 130 interrupted.
 
 import argparse
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from pkgutil import resolve_name
 
 from hoi.errors import InputError, RunError
 from hoi.runner.arguments import Parser
@@ -29,6 +29,17 @@ CHOICES = {
     "html": ("scene.html", "the scene in 3D, in one file that needs no server"),
     "usd": ("scene.usdc", "skinned person and moving object as USD; needs usd-core"),
 }
+WRITERS = {
+    "glb": "hoi.export.glb:write_glb",
+    "npz": "hoi.export.motions:write_smpl",
+    "bvh": "hoi.export.motions:write_bvh",
+    "mp4": "hoi.render.encode:write_mp4",
+    "gif": "hoi.export.pictures:write_gif",
+    "csv": "hoi.export.trajectories:write_csv",
+    "html": "hoi.export.page:write_page",
+    "usd": "hoi.export.usd:write_usd",
+}
+"""What writes the run, or its video, to a path, imported when it is called; the other choices are clouds by frame."""
 USUAL = ("glb", "npz", "bvh", "csv", "mp4")
 """What is written when nothing is named, as far as the run has it."""
 OF_MOTION, OF_VIDEO = ("npz", "bvh"), ("mp4", "gif")
@@ -78,80 +89,20 @@ def execute(options: argparse.Namespace) -> list[Path]:
     shaped = run.state.motion is not None and run.scene is not None and run.scene.body.pose_directions is not None
     if shaped and {"glb", "usd"} & set(wanted):
         print("export: the person's pose blend shapes are left out of --glb and --usd", file=sys.stderr)
-    writers = _writers(run, source, options.axes)
+    video = cache(lambda: resolve_name("hoi.export.pictures:video_of")(run, source))
     written = []
     for name in wanted:
         path = folder / CHOICES[name][0]
         try:
-            writers[name](path)
+            if name in WRITERS:
+                resolve_name(WRITERS[name])(video() if name in OF_VIDEO else run, path)
+            else:
+                resolve_name("hoi.export.clouds:write_sequence")(run, path, name, options.axes)
         except InputError as error:
             told = any(str(file) in str(error) for file in (path, source))
             raise InputError(str(error) if told else f"{source}: {error}") from None
         written.append(path)
     return written
-
-
-def _writers(run, source: Path, axes: str) -> dict[str, Callable[[Path], None]]:
-    """What writes each choice; what it needs is imported when it is called."""
-
-    @cache
-    def video():
-        from hoi.export.pictures import video_of
-
-        return video_of(run, source)
-
-    def glb(path: Path) -> None:
-        from hoi.export.glb import write_glb
-
-        write_glb(run, path)
-
-    def sequence(kind: str) -> Callable[[Path], None]:
-        def write(path: Path) -> None:
-            from hoi.export.clouds import write_sequence
-
-            write_sequence(run, path, kind, axes)
-
-        return write
-
-    def npz(path: Path) -> None:
-        from hoi.export.motions import write_smpl
-
-        write_smpl(run, path)
-
-    def bvh(path: Path) -> None:
-        from hoi.export.motions import write_bvh
-
-        write_bvh(run, path)
-
-    def mp4(path: Path) -> None:
-        from hoi.render.encode import write_mp4
-
-        write_mp4(video(), path)
-
-    def gif(path: Path) -> None:
-        from hoi.export.pictures import write_gif
-
-        write_gif(video(), path)
-
-    def table(path: Path) -> None:
-        from hoi.export.trajectories import write_csv
-
-        write_csv(run, path)
-
-    def html(path: Path) -> None:
-        from hoi.export.page import write_page
-
-        write_page(run, path)
-
-    def usd(path: Path) -> None:
-        from hoi.export.usd import write_usd
-
-        write_usd(run, path)
-
-    kinds = {kind: sequence(kind) for kind in ("ply", "splat", "spz")}
-    return kinds | {
-        "glb": glb, "npz": npz, "bvh": bvh, "mp4": mp4, "gif": gif, "csv": table, "html": html, "usd": usd,
-    }  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -104,7 +104,7 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
     if motion is not None:
         parts.append(_person(scene.body, motion))
     if trajectory is not None:
-        parts.append(_thing(scene.object, trajectory))
+        parts.append(_thing(scene.thing, trajectory))
     for clouds_now in zip(*parts, strict=True):
         yield join(clouds_now)
 

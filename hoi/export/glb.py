@@ -40,7 +40,7 @@ def write_glb(run: Run, path: Path) -> None:
     if motion is not None:
         roots += _person(document, animation, scene.body, motion)
     if trajectory is not None:
-        roots.append(_thing(document, animation, scene.object, trajectory))
+        roots.append(_thing(document, animation, scene.thing, trajectory))
     document.add("animations", name=scene.name, channels=animation.channels, samplers=animation.samplers)
     facts = {name: run.provenance[name] for name in _FACTS if name in run.provenance}
     document.write(path, roots, prompt=scene.motion_prompt, fps=scene.fps, frames=frames, **facts)

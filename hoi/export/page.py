@@ -80,15 +80,12 @@ def page(run: Run) -> str:
         InputError: as `hoi.render.replay.replay`.
     """
     shown = replay(run)
-    given = (("person", run.state.motion), ("object", run.state.trajectory))
-    names = [name for name, there in given if there is not None]
     frames = [shown.parts(frame) for frame in range(shown.frames)]
     parts = [part_of(part) for part in zip(*frames, strict=True)]
     blob = gzip.compress(b"".join(part.to_bytes() for part in parts), 6, mtime=0)
     facts = _facts(run, shown, marks_of(run))
-    facts["parts"] = [
-        {"name": name, "count": len(part.radii), "step": part.step} for name, part in zip(names, parts, strict=True)
-    ]
+    each = zip(shown.names, parts, strict=True)
+    facts["parts"] = [{"name": name, "count": len(part.radii), "step": part.step} for name, part in each]
     text = TEMPLATE.read_text(encoding="utf-8")
     pieces = {
         "TITLE": html.escape(str(facts["title"])),

@@ -45,7 +45,7 @@ def write_usd(run: Run, path: Path) -> None:
     if motion is not None:
         _person(stage, scene.body, motion)
     if trajectory is not None:
-        _thing(stage, moving_mesh(scene.object, trajectory))
+        _thing(stage, moving_mesh(scene.thing, trajectory))
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "scene.usdc"  # by its extension alone does the library know the format
         try:

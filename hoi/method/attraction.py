@@ -92,7 +92,7 @@ def carried_strike(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, t
     """
     meeting = target.meeting_frame(scene.frames)
     path = joint_paths(scene.body, motion)[:, target.joint]
-    object_means = trajectory.positions[meeting, : len(scene.object.cloud)]
+    object_means = trajectory.positions[meeting, : len(scene.thing.cloud)]
     limb = limb_gaussians(scene.body, target.joint)
     limb_means = posed_means(scene.body, motion, frames=[meeting], subset=limb)[0]
     return path + strike_offset(trajectory.com[meeting], object_means, limb_means, path, meeting)
@@ -238,7 +238,7 @@ def reach_gap(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target
         after = min(before + 1, scene.frames - 1)
         surface, com = (
             (1 - share) * path[before] + share * path[after]
-            for path in (trajectory.positions[:, : len(scene.object.cloud)], trajectory.com)
+            for path in (trajectory.positions[:, : len(scene.thing.cloud)], trajectory.com)
         )
         distance, nearest = KDTree(surface).query(skin)
         inside = ((skin - surface[nearest]) * (surface[nearest] - com)).sum(axis=1) < 0

@@ -70,7 +70,7 @@ def find_contact(
         between_frames: whether to look between frames too.
     """
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
-    surface = trajectory.positions[:, : len(scene.object.cloud)]
+    surface = trajectory.positions[:, : len(scene.thing.cloud)]
     gap, gap_frame, gap_joint = _smallest_gap(limbs, surface)
     contacts: list[Contact] = []
     touched_before: set[int] = set()
@@ -85,7 +85,7 @@ def find_contact(
                 touching[joint] = found
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):
             v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
-            contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.object)
+            contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing)
             if contact.v_in > 0:
                 return ContactSearch((*contacts, contact), gap, gap_frame, gap_joint)
             if joint not in touched_before:

@@ -31,7 +31,7 @@ class Advanced:
 class World:
     """An object and what is around it: of a scene, what concerns the object."""
 
-    object: SceneObject
+    thing: SceneObject
     frames: int
     """T."""
     fps: float
@@ -73,7 +73,7 @@ def at_rest(
 
 def rigid_energy(scene: Scene | World, state: ObjectState) -> tuple[float, float, float]:
     """Kinetic, elastic and potential energy [J] of an object that does not deform."""
-    masses = scene.object.masses
+    masses = scene.thing.masses
     kinetic = 0.5 * float(masses @ (state.velocities**2).sum(axis=1))
     potential = -float(masses @ (state.positions @ scene.gravity))
     return kinetic, 0.0, potential
@@ -81,7 +81,7 @@ def rigid_energy(scene: Scene | World, state: ObjectState) -> tuple[float, float
 
 def free_motion(scene: Scene | World, move: Mover, stage: Stage) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
     """The object alone, from t = 0 to T (paper, Object Motion Simulation); with its states, to start again from."""
-    thing = scene.object
+    thing = scene.thing
     start = initial_state(thing.particles, thing.masses, thing.velocity, thing.angular_velocity)
     frames = move(scene, start, 0.0, range(scene.frames), stage)
     return trajectory_of(thing, frames.states, frames.energy, frames.phase), frames.states

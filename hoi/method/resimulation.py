@@ -30,9 +30,9 @@ def resimulate(
     frames = [float(frame) for frame in range(scene.frames) if frame >= t_c]
     stops = sorted({soon, *frames})
     after = move(scene, struck, t_c, stops, stage)
-    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.object.masses) - contact.v_post
+    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.thing.masses) - contact.v_post
     stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
-    return _continued(scene.object, free, states, after, [stops.index(frame) for frame in frames])
+    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames])
 
 
 def push_by(
@@ -57,7 +57,7 @@ def push_by(
     stage.numbers.update(impulse=float(np.linalg.norm(after.impulse)), pushed_from=first, pushed_until=last)
     if after.pushed is None:
         stage.notes.append("the limb's capsules passed the object without touching it")
-    trajectory = _continued(scene.object, free, states, after, range(len(frames)))
+    trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
     return trajectory, replace(contact, impulse=after.impulse, duration=(last - first) / scene.fps)
 
 

@@ -43,7 +43,7 @@ def check_apart(scene: Scene, motion: Motion | None = None) -> None:
         InputError: it is.
     """
     if not is_apart(scene, motion):
-        centre = scene.object.cloud.means.mean(axis=0)[:2].round(3).tolist()
+        centre = scene.thing.cloud.means.mean(axis=0)[:2].round(3).tolist()
         raise InputError(f"placement: the object at {centre} is inside the person at t = 0; move it away")
 
 
@@ -55,7 +55,7 @@ def is_apart(scene: Scene, motion: Motion | None = None) -> bool:
     start = motion or stand_motion(scene.body, 1, scene.fps)
     skin = posed_means(scene.body, start, frames=[0])[0]
     joints = joint_paths(scene.body, start, frames=[0])[0]
-    particles = scene.object.particles
+    particles = scene.thing.particles
     near = np.all((particles >= skin.min(axis=0)) & (particles <= skin.max(axis=0)), axis=1)
     particles = particles[near]
     if len(particles) == 0:

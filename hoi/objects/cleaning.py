@@ -4,6 +4,8 @@ Each function returns the cloud and one line on what it did, or none. Lengths ar
 in whatever units the file has.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -45,7 +47,7 @@ def clean(cloud: GaussianCloud) -> tuple[GaussianCloud, list[str]]:
     if giants:
         notes.append(f"shrank {giants} Gaussians wider than {_MAX_SCALE:.0%} of the object")
         scales = np.minimum(cloud.scales, limit)
-        cloud = GaussianCloud(cloud.means, cloud.quaternions, scales, cloud.opacities, cloud.sh)
+        cloud = replace(cloud, scales=scales)
     return cloud, notes
 
 
@@ -59,7 +61,7 @@ def thin(cloud: GaussianCloud, count: int, seed: int = 0) -> tuple[GaussianCloud
     kept = select(cloud, rows)
     scales = (kept.scales * widening).astype(np.float32)
     note = f"thinned {len(cloud)} Gaussians to {count} by opacity, widened {widening:.2f} times"
-    return GaussianCloud(kept.means, kept.quaternions, scales, kept.opacities, kept.sh), [note]
+    return replace(kept, scales=scales), [note]
 
 
 def _keep(cloud: GaussianCloud, mask: NDArray[np.bool_]) -> GaussianCloud:

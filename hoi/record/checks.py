@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hoi.body.skeleton import JOINT_COUNT
-from hoi.data import Run, SceneObject
+from hoi.data import GaussianCloud, Run, SceneObject
 
 MOST_BYTES = 2**33
 """Bytes that the messages, or the arrays of one attachment, may claim to unpack to."""
@@ -97,16 +97,13 @@ def check_run(run: Run) -> None:
     """
     scene, state = run.scene, run.state
     if scene is not None:
-        for name, owner in (("body", scene.body), ("object", scene.object)):
-            cloud, count = owner.cloud, len(owner.cloud)
-            _check(f"{name}.means", cloud.means, (count, 3))
-            _check(f"{name}.quaternions", cloud.quaternions, (count, 4))
-            _check(f"{name}.scales", cloud.scales, (count, 3))
-            _check(f"{name}.opacities", cloud.opacities, (count,))
-            _check(f"{name}.sh", cloud.sh, (count, None, 3))
+        _check_cloud("body", scene.body.cloud)
         _check("body.skinning_weights", scene.body.skinning_weights, (len(scene.body.cloud), JOINT_COUNT))
         _check("body.rest_joints", scene.body.rest_joints, (JOINT_COUNT, 3))
-        _check_object(scene.object)
+        if scene.object is not None:
+            _check_object(scene.object)
+        elif state.trajectory is not None:
+            raise Refused("it has a trajectory, and no object")
         _check("gravity", scene.gravity, (3,))
         if not (math.isfinite(scene.fps) and scene.fps > 0):
             raise Refused(f"its frame rate is {scene.fps}, must be above 0")
@@ -116,7 +113,7 @@ def check_run(run: Run) -> None:
         _check("motion.orientation", motion.orientation, (frames, 6))
         _check("motion.body_pose", motion.body_pose, (frames, JOINT_COUNT - 1, 3))
     if (trajectory := state.trajectory) is not None:
-        frames, particles = len(trajectory.positions), None if scene is None else len(scene.object.particles)
+        frames, particles = len(trajectory.positions), None if scene is None else len(scene.thing.particles)
         _check("object.positions", trajectory.positions, (frames, particles, 3))
         for name in ("com", "com_velocity", "energy"):
             _check(f"object.{name}", getattr(trajectory, name), (frames, 3))
@@ -156,12 +153,20 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -> Non
         raise Refused(f"{name} has shape {array.shape}, must have ({wanted})")
 
 
+def _check_cloud(name: str, cloud: GaussianCloud) -> None:
+    count = len(cloud)
+    shapes = {"means": (count, 3), "quaternions": (count, 4), "scales": (count, 3), "opacities": (count,)}
+    for field, shape in (shapes | {"sh": (count, None, 3)}).items():
+        _check(f"{name}.{field}", getattr(cloud, field), shape)
+
+
 def _check_joint(whose: str, joint: int, unknown: bool = False) -> None:
     if not -unknown <= joint < JOINT_COUNT:
         raise Refused(f"{whose} has joint {joint}, must be 0 to {JOINT_COUNT - 1}")
 
 
 def _check_object(thing: SceneObject) -> None:
+    _check_cloud("object", thing.cloud)
     particles = len(thing.particles)
     _check("object.particles", thing.particles, (particles, 3))
     _check("object.volumes", thing.volumes, (particles,))

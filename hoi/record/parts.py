@@ -5,17 +5,17 @@ import io
 import json
 import math
 from dataclasses import fields, is_dataclass
-from typing import Any, TypeVar, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from hoi.data import Array, Body, GaussianCloud, Material, Plane, Scene, SceneObject
+from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject
 
 T = TypeVar("T")
 
-_CLOUD = tuple(f.name for f in fields(GaussianCloud))
-_BODY = ("skinning_weights", "rest_joints")
-_OBJECT = ("particles", "volumes", "velocity", "angular_velocity")
+_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes")
+_BODY = ("name", "source")
+_OBJECT = ("name", "size", "notes", "material", "other_materials")
 
 
 def plain(value: Any) -> Any:
@@ -33,22 +33,25 @@ def plain(value: Any) -> Any:
     return value
 
 
-def restore(kind: type[T], values: dict[str, Any]) -> T:
-    """The flat dataclass `kind` from what `plain` made of it.
+def restore(kind: type[T], values: dict[str, Any], **more: Any) -> T:
+    """The dataclass `kind` from what `plain` made of it, and from `more` fields as they are.
 
     Raises:
         TypeError: a field is missing, or of a type no record holds.
     """
-    return kind(**{f.name: _restore_field(f.type, values[f.name]) for f in fields(kind) if f.name in values})  # pyright: ignore[reportArgumentType]
+    known = {f.name: _restored(f.type, values[f.name]) for f in fields(kind) if f.name in values and f.name not in more}  # pyright: ignore[reportArgumentType]
+    return kind(**known, **more)
 
 
-def _restore_field(kind: Any, value: Any) -> Any:
+def _restored(kind: Any, value: Any) -> Any:
+    if is_dataclass(kind) and isinstance(kind, type):
+        return restore(kind, value)
     if kind in (int, float, str):
         return kind(value)
     if kind is Array:
         return np.array(value, np.float64)
     if get_origin(kind) is tuple:
-        return tuple(value)
+        return tuple(_restored(get_args(kind)[0], item) for item in value)
     if get_origin(kind) is dict:
         return {key: float(item) for key, item in value.items()}
     raise TypeError(f"no record holds a {kind}")
@@ -78,83 +81,38 @@ def history_from_csv(data: bytes) -> tuple[dict[str, float | str], ...]:
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """Attachment name -> content: `scene.json`, `body.npz`, `object.npz`."""
+    """Attachment name -> content: `scene.json`, `body.npz`, and `object.npz` where there is an object."""
     body, thing = scene.body, scene.object
-    facts = {
-        "name": scene.name,
-        "motion_prompt": scene.motion_prompt,
-        "frames": scene.frames,
-        "fps": scene.fps,
-        "gravity": scene.gravity,
-        "planes": scene.planes,
-        "body": {"name": body.name, "source": body.source},
-        "object": {
-            "name": thing.name,
-            "size": thing.size,
-            "notes": thing.notes,
-            "material": thing.material,
-            "other_materials": thing.other_materials,
-        },
-    }
-    return {
-        "scene.json": to_json(facts),
-        "body.npz": _npz(
-            {name: getattr(body.cloud, name) for name in _CLOUD},
-            body,
-            _BODY if body.pose_directions is None else (*_BODY, "pose_directions"),
-        ),
-        "object.npz": _npz(
-            {name: getattr(thing.cloud, name) for name in _CLOUD},
-            thing,
-            _OBJECT if thing.region is None else (*_OBJECT, "region"),
-        ),
-    }
+    facts = _facts(scene, _SCENE) | {"body": _facts(body, _BODY), "object": thing and _facts(thing, _OBJECT)}
+    files = {"scene.json": to_json(facts), "body.npz": _npz(body)}
+    return files if thing is None else files | {"object.npz": _npz(thing)}
 
 
 def scene_from_files(files: dict[str, bytes]) -> Scene:
-    """The inverse of `scene_files`. Records from before there were planes and regions have none."""
-    facts = json.loads(files["scene.json"])
-    body, thing = _arrays(files["body.npz"]), _arrays(files["object.npz"])
-    return Scene(
-        name=facts["name"],
-        body=Body(
-            cloud=_cloud(body),
-            **facts["body"],
-            **_named(body, _BODY),
-            pose_directions=body.get("pose_directions"),
-        ),
-        object=SceneObject(
-            name=facts["object"]["name"],
-            cloud=_cloud(thing),
-            material=restore(Material, facts["object"]["material"]),
-            size=float(facts["object"]["size"]),
-            notes=tuple(facts["object"]["notes"]),
-            other_materials=tuple(restore(Material, m) for m in facts["object"].get("other_materials", ())),
-            region=thing["region"].astype(np.int32) if "region" in thing else None,
-            **_named(thing, _OBJECT),
-        ),
-        motion_prompt=facts["motion_prompt"],
-        frames=int(facts["frames"]),
-        fps=float(facts["fps"]),
-        gravity=np.array(facts["gravity"], np.float64),
-        planes=tuple(restore(Plane, plane) for plane in facts.get("planes", ())),
-    )
+    """The inverse of `scene_files`. Records from before there were planes and regions have none, and those of a person
+    alone had an object without particles."""
+    facts, thing = json.loads(files["scene.json"]), None
+    body = restore(Body, facts["body"], **_arrays(files["body.npz"], Body))
+    if facts["object"] is not None:
+        arrays = _arrays(files["object.npz"], SceneObject)
+        thing = restore(SceneObject, facts["object"], **arrays) if len(arrays["particles"]) else None
+    return restore(Scene, facts, body=body, object=thing)
 
 
-def _npz(arrays: dict[str, Array], owner: Any, names: tuple[str, ...]) -> bytes:
+def _facts(owner: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: getattr(owner, name) for name in names}
+
+
+def _npz(owner: Body | SceneObject) -> bytes:
+    """The arrays of the cloud, and all others, by the names of their fields."""
+    arrays = vars(owner.cloud) | {name: value for name, value in vars(owner).items() if isinstance(value, np.ndarray)}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays, **{name: getattr(owner, name) for name in names})
+    np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     return buffer.getvalue()
 
 
-def _arrays(data: bytes) -> dict[str, Array]:
+def _arrays(data: bytes, owner: type) -> dict[str, Any]:
+    """The inverse of `_npz`; what `owner` has no field for is left out."""
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def _cloud(arrays: dict[str, Array]) -> GaussianCloud:
-    return GaussianCloud(**_named(arrays, _CLOUD))
-
-
-def _named(arrays: dict[str, Array], names: tuple[str, ...]) -> dict[str, Any]:
-    return {name: arrays[name] for name in names}
+        cloud = GaussianCloud(**{f.name: archive[f.name] for f in fields(GaussianCloud)})
+        return {"cloud": cloud} | {f.name: archive[f.name] for f in fields(owner) if f.name in archive.files}

@@ -17,21 +17,7 @@ from mcap.reader import McapReader, SeekingReader
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from hoi.data import (
-    Array,
-    Check,
-    Contact,
-    ContactSearch,
-    Motion,
-    ObjectTrajectory,
-    Omission,
-    Plan,
-    Run,
-    StageReport,
-    State,
-    Step,
-    Target,
-)
+from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Plan, Run, StageReport, State, Target
 from hoi.errors import InputError
 from hoi.record.camera import Footage, camera_of
 from hoi.record.checks import Refused, check_chunks, check_names, check_npz, check_run
@@ -64,24 +50,19 @@ def read(path: Path) -> Run:
         check_names(attachment.name for attachment in attachments)
         files = {attachment.name: attachment.data for attachment in attachments}
         needed = ["config.yaml", "plan.json", "state.json", "reports.json", "history.csv"]
-        needed += ["body.npz", "object.npz"] if "scene.json" in files else []
+        if "scene.json" in files:
+            needed += ["body.npz"] if json.loads(files["scene.json"])["object"] is None else ["body.npz", "object.npz"]
         for name in needed:
             if name not in files:
                 raise InputError(f"{path} lacks its attachment {name}")
             if name.endswith(".npz"):
                 check_npz(name, files[name])
         facts = json.loads(files["state.json"])
-        plan = json.loads(files["plan.json"])
         run = Run(
             config_yaml=files["config.yaml"].decode(),
             provenance=metadata["hoi.run"],
             result=metadata["hoi.result"],
-            plan=Plan(
-                variant=plan["variant"],
-                steps=tuple(restore(Step, step) for step in plan["steps"]),
-                omissions=tuple(restore(Omission, omission) for omission in plan["omissions"]),
-                checks=tuple(restore(Check, check) for check in plan["checks"]),
-            ),
+            plan=restore(Plan, json.loads(files["plan.json"])),
             reports=tuple(restore(StageReport, report) for report in json.loads(files["reports.json"])),
             history=history_from_csv(files["history.csv"]),
             scene=scene_from_files(files) if "scene.json" in files else None,
@@ -277,12 +258,8 @@ def _state(reader: McapReader, facts: dict[str, Any], path: Path) -> State:
     if facts["trajectory"] is not None:
         trajectory = _trajectory(messages["/object/state"])
     if facts["contact"] is not None:
-        contact = ContactSearch(
-            contacts=tuple(restore(Contact, json.loads(message)) for message in messages.get("/contact", ())),
-            smallest_gap=float(facts["contact"]["smallest_gap"]),
-            smallest_gap_frame=float(facts["contact"]["smallest_gap_frame"]),
-            smallest_gap_joint=int(facts["contact"]["smallest_gap_joint"]),
-        )
+        contacts = tuple(restore(Contact, json.loads(message)) for message in messages.get("/contact", ()))
+        contact = restore(ContactSearch, facts["contact"], contacts=contacts)
     target = None if facts["target"] is None else restore(Target, facts["target"])
     return State(motion=motion, trajectory=trajectory, target=target, contact=contact)
 

@@ -21,6 +21,7 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import ArrayLike
 
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
 from hoi.data import Array, Contact, Motion, Run
@@ -28,7 +29,9 @@ from hoi.gaussians import colours
 from hoi.record.schemas import POINT
 
 WORLD, CAMERA = "world", "camera"
-_BONE, _GROUND, _ARROW = (0.15, 0.45, 0.85, 1.0), (0.82, 0.82, 0.80, 0.6), (0.90, 0.25, 0.10, 1.0)
+UPRIGHT = (0, 0, 0, 1)
+_BONE, _GROUND = Color(r=0.15, g=0.45, b=0.85, a=1.0), Color(r=0.82, g=0.82, b=0.80, a=0.6)
+_ARROW = Color(r=0.90, g=0.25, b=0.10, a=1.0)
 _GROUND_SIZE = 8.0
 
 
@@ -53,8 +56,9 @@ def views(
         return
     motion, trajectory, search = run.state.motion, run.state.trajectory, run.state.contact
     skeleton = None if motion is None else _skeleton(motion, run.scene.body.rest_joints)
-    cloud = run.scene.object.cloud
-    object_colours = colours(cloud)[::object_stride]
+    thing = run.scene.object
+    shown = slice(0, 0 if thing is None else len(thing.cloud), object_stride)
+    object_colours = np.zeros((0, 3)) if thing is None else colours(thing.cloud)[shown]
     for frame, time in enumerate(times):
         transforms, entities = [], [_ground()]
         if skeleton is not None and frame < len(skeleton["positions"]):
@@ -69,8 +73,7 @@ def views(
             com = _pose(trajectory.com[frame])
             transforms.append(_frame("object", trajectory.com[frame]))
             yield time, "/object/com", _bytes(PoseInFrame(timestamp=timestamp(time), frame_id=WORLD, pose=com))
-            points = trajectory.positions[frame, : len(cloud) : object_stride]
-            yield time, "/object/points", _points(time, points, object_colours)
+            yield time, "/object/points", _points(time, trajectory.positions[frame, shown], object_colours)
         if camera_poses is not None and frame < len(camera_poses[0]):
             transforms.append(_frame(CAMERA, *(values[frame] for values in camera_poses)))
         if search is not None:
@@ -113,11 +116,9 @@ def _joint_frames(pose: dict[str, Array]) -> list[FrameTransform]:
     return frames
 
 
-def _frame(name: str, position: Array, xyzw: Any = (0, 0, 0, 1), parent: str = WORLD) -> FrameTransform:
-    x, y, z = map(float, position)
-    return FrameTransform(
-        parent_frame_id=parent, child_frame_id=name, translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(xyzw)
-    )
+def _frame(name: str, position: Array, xyzw: ArrayLike = UPRIGHT, parent: str = WORLD) -> FrameTransform:
+    place, turn = _filled(Vector3, position), _filled(Quaternion, xyzw)
+    return FrameTransform(parent_frame_id=parent, child_frame_id=name, translation=place, rotation=turn)
 
 
 def _points(time: int, positions: Array, rgb: Array) -> bytes:
@@ -135,7 +136,7 @@ def _points(time: int, positions: Array, rgb: Array) -> bytes:
     cloud = PointCloud(
         timestamp=timestamp(time),
         frame_id=WORLD,
-        pose=_pose(np.zeros(3)),
+        pose=_pose((0, 0, 0)),
         point_stride=POINT.itemsize,
         fields=layout,
         data=packed.tobytes(),
@@ -144,11 +145,8 @@ def _points(time: int, positions: Array, rgb: Array) -> bytes:
 
 
 def _ground() -> SceneEntity:
-    slab = CubePrimitive(
-        pose=_pose(np.array([0, 0, -0.005])),
-        size=Vector3(x=_GROUND_SIZE, y=_GROUND_SIZE, z=0.01),
-        color=_colour(_GROUND),
-    )
+    size = _filled(Vector3, (_GROUND_SIZE, _GROUND_SIZE, 0.01))
+    slab = CubePrimitive(pose=_pose((0, 0, -0.005)), size=size, color=_GROUND)
     return SceneEntity(id="ground", frame_id=WORLD, cubes=[slab])
 
 
@@ -156,11 +154,11 @@ def _bones(joints: Array) -> SceneEntity:
     ends = [joints[end] for joint, parent in enumerate(PARENTS[1:], start=1) for end in (parent, joint)]
     lines = LinePrimitive(
         type=LinePrimitive.LINE_LIST,
-        pose=_pose(np.zeros(3)),
+        pose=_pose((0, 0, 0)),
         thickness=3.0,
         scale_invariant=True,
-        points=[Point3(x=float(x), y=float(y), z=float(z)) for x, y, z in ends],
-        color=_colour(_BONE),
+        points=[_filled(Point3, end) for end in ends],
+        color=_BONE,
     )
     return SceneEntity(id="skeleton", frame_id=WORLD, lines=[lines])
 
@@ -176,23 +174,18 @@ def _arrow(number: int, contact: Contact) -> SceneEntity:
         shaft_diameter=0.02,
         head_length=0.08,
         head_diameter=0.05,
-        color=_colour(_ARROW),
+        color=_ARROW,
     )
     return SceneEntity(id=f"contact/{number}", frame_id=WORLD, arrows=[arrow])
 
 
-def _pose(position: Array, xyzw: Any = (0, 0, 0, 1)) -> Pose:
-    x, y, z = map(float, position)
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_quaternion(xyzw))
+def _pose(position: ArrayLike, xyzw: ArrayLike = UPRIGHT) -> Pose:
+    return Pose(position=_filled(Vector3, position), orientation=_filled(Quaternion, xyzw))
 
 
-def _quaternion(xyzw: Any) -> Quaternion:
-    x, y, z, w = map(float, xyzw)
-    return Quaternion(x=x, y=y, z=z, w=w)
-
-
-def _colour(rgba: tuple[float, float, float, float]) -> Color:
-    return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
+def _filled(kind: Any, values: ArrayLike) -> Any:
+    """A vector, point or quaternion of x, y, z and perhaps w."""
+    return kind(**dict(zip("xyzw", np.asarray(values, np.float64).tolist(), strict=False)))
 
 
 def _bytes(message: Any) -> bytes:

@@ -49,11 +49,14 @@ def write(
     Raises:
         InputError: the path cannot be written to.
         RunError: the disk is full or broken.
-        ValueError: a state without a scene, points without colours, or a video that is not as long as the run.
+        ValueError: a state without a scene, a trajectory without an object, points without colours, or a video that is
+            not as long as the run.
     """
     state = run.state
     if run.scene is None and any(part is not None for part in (state.motion, state.trajectory, state.contact)):
         raise ValueError("a run without a scene can have no state")
+    if state.trajectory is not None and run.scene is not None and run.scene.object is None:
+        raise ValueError("a run without an object can have no trajectory")
     if (human_points is None) != (human_colours is None):
         raise ValueError("human_points and human_colours go together")
     if footage is not None and footage.cameras and len(footage) != _frames(run):

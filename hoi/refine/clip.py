@@ -171,7 +171,7 @@ def contact_framing(
         return Framing(np.asarray(window.push.point, np.float64), radius)
     frame = min(window.frames, key=lambda frame: abs(frame - window.t_c))
     joint = joint_paths(scene.body, motion, [frame])[0, window.joint]
-    surface = trajectory.positions[frame, : len(scene.object.cloud)]
+    surface = trajectory.positions[frame, : len(scene.thing.cloud)]
     nearest = np.linalg.norm(surface - joint, axis=1).argmin()
     return Framing(surface[nearest].astype(np.float64), radius)
 

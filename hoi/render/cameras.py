@@ -100,14 +100,7 @@ def frame_action(
 
 
 def fitting_width(
-    points: Array,
-    direction: ArrayLike,
-    height: int,
-    aspects: tuple[float, float],
-    *,
-    fov_y: float = FOV_Y,
-    margin: float = MARGIN,
-    up: ArrayLike = (0, 0, 1),
+    points: Array, direction: ArrayLike, height: int, aspects: tuple[float, float], up: ArrayLike = (0, 0, 1)
 ) -> int:
     """The width [pixel] at which `frame_action` fills a picture of `height` on all four sides.
 
@@ -118,7 +111,7 @@ def fitting_width(
         InputError: as `frame_action`.
     """
     axes = _axes(-np.asarray(direction, np.float64), up)
-    least, most = (_tangents(round(height * aspect), height, fov_y, margin) for aspect in aspects)
+    least, most = (_tangents(round(height * aspect), height, FOV_Y, MARGIN) for aspect in aspects)
     high, low, back = np.split(_reach(points, _borders(axes, least)), (2, 4))
     eye_depth = min(-(high[1] + low[1]) / (2 * least[1]), -back[0] - CLOSEST)
     side, depth = points @ axes[0], points @ axes[2] - eye_depth
@@ -137,8 +130,6 @@ def circle(
     *,
     width: int = WIDTH,
     height: int = HEIGHT,
-    fov_y: float = FOV_Y,
-    margin: float = MARGIN,
 ) -> list[Camera]:
     """Viewpoints evenly spaced on a level circle around the action, all looking at one point from one distance: the
     smallest circle from which each of them has all points in its picture (paper, Implementation Details).
@@ -158,7 +149,7 @@ def circle(
         raise InputError(f"camera circle of {count}: at least 1 viewpoint is allowed")
     if not abs(elevation) < math.pi / 2:
         raise InputError(f"camera elevation {elevation:g} rad: between -pi/2 and pi/2 is allowed")
-    tangents = _tangents(width, height, fov_y, margin)
+    tangents = _tangents(width, height, FOV_Y, MARGIN)
     turns = math.pi / 2 + 2 * math.pi / count * np.arange(count)
     away = np.column_stack([np.cos(turns), np.sin(turns), np.full(count, math.tan(elevation))])
     views = [_axes(-direction, (0, 0, 1)) for direction in away]
@@ -170,18 +161,10 @@ def circle(
     rows = -np.column_stack([np.concatenate(borders), scale])
     limits = -outermost - np.tile([0, 0, 0, 0, CLOSEST], count)
     *centre, distance = linprog([0, 0, 0, 1], rows, limits, bounds=[(None, None)] * 3 + [(CLOSEST, None)]).x
-    return [_camera(axes, centre - distance * axes[2], width, height, fov_y) for axes in views]
+    return [_camera(axes, centre - distance * axes[2], width, height) for axes in views]
 
 
-def view(
-    name: str,
-    action: Action,
-    *,
-    width: int = WIDTH,
-    height: int = HEIGHT,
-    fov_y: float = FOV_Y,
-    margin: float = MARGIN,
-) -> Camera | list[Camera]:
+def view(name: str, action: Action, *, width: int = WIDTH, height: int = HEIGHT) -> Camera | list[Camera]:
     """The camera of `VIEWS[name]` that frames the action; for "follow" one for each frame, of the same direction and
     at the same place beside `Action.path`.
 
@@ -192,11 +175,11 @@ def view(
         raise InputError(f"view {name}: allowed are {', '.join(VIEWS)}")
     up = TOP_UP if name == "top" else (0, 0, 1)
     points = action.points_around_path() if name == "follow" else action.points()
-    camera = frame_action(points, VIEWS[name], width=width, height=height, fov_y=fov_y, margin=margin, up=up)
+    camera = frame_action(points, VIEWS[name], width=width, height=height, up=up)
     if name != "follow":
         return camera
     axes, beside = camera.world_to_camera[:3, :3], camera.position
-    return [_camera(axes, centre + beside, width, height, fov_y) for centre in action.path()]
+    return [_camera(axes, centre + beside, width, height) for centre in action.path()]
 
 
 def to_json(cameras: Sequence[Camera]) -> str:
@@ -237,7 +220,7 @@ def _axes(forward: ArrayLike, up: ArrayLike) -> Array:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _camera(axes: Array, eye: Array, width: int, height: int, fov_y: float) -> Camera:
+def _camera(axes: Array, eye: Array, width: int, height: int, fov_y: float = FOV_Y) -> Camera:
     if not 0 < fov_y < math.pi:
         raise InputError(f"camera fov_y {fov_y:g} rad: between 0 and pi is allowed")
     pose = np.eye(4)

@@ -20,12 +20,7 @@ def rasterise_gsplat(
     depth: bool = False,
     sh_degree: int | None = None,
 ) -> Picture:
-    """The picture that `camera` has of the splats, in float32 on their device, made on the current CUDA device.
-
-    Args:
-        background: RGB, (3,), or a picture (height, width, 3).
-        depth: whether the picture has a depth.
-        sh_degree: highest harmonics used; default: all there are.
+    """The picture of `hoi.render.rasterise.rasterise`, in float32, made on the current CUDA device.
 
     Raises:
         InputError: there is no CUDA device, or no gsplat with kernels for it.

@@ -47,7 +47,7 @@ def marks_of(run: Run) -> Marks:
     if trajectory is not None:
         stride = -(-trajectory.positions.shape[1] // MOST_PARTICLES)
         particles = trajectory.positions[:, ::stride]
-        region = scene.object.region
+        region = scene.thing.region
         index = np.zeros(particles.shape[1], int) if region is None else region[::stride]
         colours = REGIONS[index % len(REGIONS)]
     return Marks(

@@ -113,17 +113,7 @@ class Drawing:
 
 def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pixels]]:
     """The panels' pictures, time after time."""
-    films = [
-        film(
-            panel.replay,
-            panel.cameras,
-            frames=panel.frames,
-            sh_degree=how.sh_degree,
-            backend=how.backend,
-            device=how.device,
-        )
-        for panel in panels
-    ]
+    films = [film(panel.replay, panel.cameras, frames=panel.frames, **vars(how)) for panel in panels]
     for row in zip(*films, strict=True):
         yield list(row)
 

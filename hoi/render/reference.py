@@ -36,27 +36,19 @@ def rasterise_reference(
     depth: bool = False,
     sh_degree: int | None = None,
 ) -> Picture:
-    """The picture that `camera` has of the splats, in float64 on their device.
+    """The picture of `hoi.render.rasterise.rasterise`, in float64 on the splats' device.
 
     A Gaussian whose projected covariance is not positive definite, as rounding can make it, is left out.
-
-    Args:
-        background: RGB, (3,), or a picture (height, width, 3).
-        depth: whether the picture has a depth.
-        sh_degree: highest harmonics used; default: all there are.
     """
     device = splats.means.device
     pose = torch.as_tensor(camera.world_to_camera, dtype=torch.float64, device=device)
     distances = (splats.means.detach().double() @ pose[:3, :3].T + pose[:3, 3])[:, 2]
     order = torch.argsort(distances, stable=True)
     order = order[distances[order] >= camera.near]
-    seen = Splats(
-        splats.means.double()[order],
-        splats.covariances.double()[order],
-        splats.opacities.double()[order],
-        splats.sh.double()[order],
-        None if splats.turns is None else splats.turns.double()[order],
-    )
+    arrays = (splats.means, splats.covariances, splats.opacities, splats.sh)
+    means, covariances, opacities, sh = (array.double()[order] for array in arrays)
+    turns = None if splats.turns is None else splats.turns.double()[order]
+    seen = Splats(means, covariances, opacities, sh, turns)
     centres, spreads, depths = _project(seen, camera, pose)
     xx, xy, yy = spreads[:, 0, 0], spreads[:, 0, 1], spreads[:, 1, 1]
     determinants = xx * yy - xy * xy
@@ -85,16 +77,11 @@ def rasterise_reference(
 def _project(splats: Splats, camera: Camera, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Centres [pixel] (N, 2), covariances [pixel^2] (N, 2, 2) and camera z [m] (N,): EWA's local affine projection."""
     points = splats.means @ pose[:3, :3].T + pose[:3, 3]
-    centres = torch.stack(
-        [
-            camera.fx * points[:, 0] / points[:, 2] + camera.cx,
-            camera.fy * points[:, 1] / points[:, 2] + camera.cy,
-        ],
-        dim=-1,
-    )
+    x, y, z = points.unbind(-1)
+    centres = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
     root = _jacobian(points, camera) @ pose[:3, :3]
     symmetric = (splats.covariances + splats.covariances.mT) / 2
-    return centres, root @ symmetric @ root.mT + BLUR * torch.eye(2, dtype=pose.dtype, device=pose.device), points[:, 2]
+    return centres, root @ symmetric @ root.mT + BLUR * torch.eye(2, dtype=pose.dtype, device=pose.device), z
 
 
 def _jacobian(points: Tensor, camera: Camera) -> Tensor:
@@ -108,13 +95,9 @@ def _jacobian(points: Tensor, camera: Camera) -> Tensor:
         margin = JACOBIAN_MARGIN * 0.5 * size / focal
         slopes.append(ratio.clamp(-(principal / focal + margin), (size - principal) / focal + margin))
     zero = torch.zeros_like(z)
-    return torch.stack(
-        [
-            torch.stack([camera.fx / z, zero, -camera.fx * slopes[0] / z], dim=-1),
-            torch.stack([zero, camera.fy / z, -camera.fy * slopes[1] / z], dim=-1),
-        ],
-        dim=-2,
-    )
+    across = torch.stack([camera.fx / z, zero, -camera.fx * slopes[0] / z], dim=-1)
+    down = torch.stack([zero, camera.fy / z, -camera.fy * slopes[1] / z], dim=-1)
+    return torch.stack([across, down], dim=-2)
 
 
 def _blend(pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:

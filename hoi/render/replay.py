@@ -173,9 +173,14 @@ class Replay:
     def __init__(self, person: _MovingPerson | None, thing: _MovingObject | None, run: Run, fps: float) -> None:
         self.run = run
         self.fps = fps
-        self._person, self._thing = person, thing
-        self._parts = tuple(part for part in (person, thing) if part is not None)
-        self.frames: int = self._parts[0].frames
+        shown = {"person": person, "object": thing}
+        self._parts = {name: part for name, part in shown.items() if part is not None}
+        self.frames: int = next(iter(self._parts.values())).frames
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parts: "person", "object"."""
+        return tuple(self._parts)
 
     def parts(self, frame: int) -> tuple[Splats, ...]:
         """Person and object in a frame, whichever the run has.
@@ -185,13 +190,13 @@ class Replay:
         if not 0 <= frame < self.frames:
             raise IndexError(f"frame {frame}: 0 to {self.frames - 1} are there")
         with torch.no_grad():
-            return tuple(part.at(frame) for part in self._parts)
+            return tuple(part.at(frame) for part in self._parts.values())
 
     def action(self) -> Action:
         """What a camera has to show."""
+        outlines = {name: part.outline() for name, part in self._parts.items()}
         nothing = np.zeros((self.frames, 0, 3))
-        person, thing = (nothing if part is None else part.outline() for part in (self._person, self._thing))
-        return Action(person=person, thing=thing, fps=self.fps)
+        return Action(outlines.get("person", nothing), outlines.get("object", nothing), self.fps)
 
 
 def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
@@ -202,7 +207,7 @@ def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
     """
     scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     person = None if motion is None else _MovingPerson(scene.body, motion, device)
-    thing = None if trajectory is None else _MovingObject(scene.object.cloud, trajectory, device)
+    thing = None if trajectory is None else _MovingObject(scene.thing.cloud, trajectory, device)
     return Replay(person, thing, run, scene.fps)
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from hoi.data import GaussianCloud
 from hoi.errors import InputError
+from hoi.gaussians import SH_C0, higher_harmonics
 
 
 @dataclass(frozen=True)
@@ -115,30 +116,12 @@ def shade(splats: Splats, eye: Tensor, degree: int | None = None) -> Tensor:
     if degree is not None and degree < 0:
         raise InputError(f"sh_degree {degree}: 0 to 3 are allowed")
     degree = sh_degree(splats) if degree is None else min(degree, sh_degree(splats))
-    colours = 0.5 + _C0 * splats.sh[:, 0]
+    colours = 0.5 + SH_C0 * splats.sh[:, 0]
     if degree > 0:
         directions = torch.nn.functional.normalize(splats.means - eye, dim=-1)
         if splats.turns is not None:
             directions = (directions[:, None, :] @ splats.turns)[:, 0]
-        basis = _higher_basis(directions, degree)
+        x, y, z = directions.unbind(-1)
+        basis = torch.stack(higher_harmonics(x, y, z, degree), -1)
         colours = colours + (basis[:, None, :] @ splats.sh[:, 1 : (degree + 1) ** 2])[:, 0]
     return colours.clamp_min(0.0)
-
-
-_C0 = 0.28209479177387814
-
-
-def _higher_basis(directions: Tensor, degree: int) -> Tensor:
-    """Y_1.. of the 3DGS basis, as `hoi.gaussians.sh_basis` has it, of unit directions: (N, (degree + 1)^2 - 1)."""
-    x, y, z = directions.unbind(-1)
-    basis = [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
-    if degree > 1:
-        xx, yy, zz = x * x, y * y, z * z
-        basis += [1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy)]
-        basis += [-1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy)]
-        if degree > 2:
-            basis += [-0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z]
-            basis += [-0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * (xx + yy))]
-            basis += [-0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy)]
-            basis += [-0.5900435899266435 * x * (xx - 3 * yy)]
-    return torch.stack(basis, -1)

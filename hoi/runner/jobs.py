@@ -147,7 +147,7 @@ def record(run: Run, path: Path, human_points: int, video: "Video | None", foota
         write_mp4(video, path.with_suffix(".mp4"))
     points = viewing_points(run.scene, run.state, human_points)
     write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
-    for line in (*run.scene.object.notes, summary(run.result)):
+    for line in (*run.scene.thing.notes, summary(run.result)):
         print(line, file=sys.stderr)
 
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hoi.data import Body, GaussianCloud, Material, Motion, Plan, Plane, Run, Scene, SceneObject, State, Step
+from hoi.data import Body, Motion, Plan, Plane, Run, Scene, State, Step
 from hoi.errors import InputError, RunError
 
 if TYPE_CHECKING:
@@ -99,10 +99,6 @@ def run_of(
     motion: Motion, body: Body, prompt: str, seed: int, prior: MotionPrior, guidance: float, seconds: float
 ) -> Run:
     """A record's content: a person on the ground, and no object."""
-    none = np.zeros((0, 3), np.float32)
-    cloud = GaussianCloud(none, np.zeros((0, 4), np.float32), none, none[:, 0], np.zeros((0, 1, 3), np.float32))
-    material = Material("none", "fixed_corotated", 1e6, 0.3, 1e3, 0.0, 0.0)
-    nothing = SceneObject("nothing", cloud, none, none[:, 0], material, np.zeros(3), np.zeros(3), 0.0)
     ground = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     frames, gravity = len(motion), np.array([0.0, 0.0, -9.81])
     said = f"{prior.source}: {prior.timesteps} steps of ancestral sampling, guidance {guidance:g}"
@@ -115,7 +111,7 @@ def run_of(
         plan=Plan("sample", (Step("motion", "sample", said),), (), ()),
         reports=(),
         history=(),
-        scene=Scene("sample", body, nothing, prompt, frames, motion.fps, gravity, (ground,)),
+        scene=Scene("sample", body, None, prompt, frames, motion.fps, gravity, (ground,)),
         state=State(motion=motion),
     )
 

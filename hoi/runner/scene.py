@@ -40,7 +40,7 @@ def build_scene(
         planes=tuple(planes.values()),
     )
     with under("scene"):
-        check_clear(scene.object, planes)
+        check_clear(scene.thing, planes)
         if "approach" not in (plan or make_plan(config)).uses:
             check_apart(scene)
     return scene

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +22,8 @@ KEPT_BYTES = 600_000_000
 """Of packed frames, over all runs together; what does not fit is worked out again each time."""
 
 
-@dataclass(frozen=True)
-class Moment:
-    """What a run shows in one frame; a part it does not have is None."""
-
-    person: Packed | None
-    thing: Packed | None
+Moment = dict[str, Packed]
+"""What a run shows in one frame: "person" and "object", whichever it has."""
 
 
 class Moments:
@@ -41,10 +36,9 @@ class Moments:
         """
         self.run = run
         self.replay: Replay = replay(run)
-        self.has_person, self.has_thing = run.state.motion is not None, run.state.trajectory is not None
         self._kept: dict[int, Moment] = {}
         self._room, self._lock = kept_bytes, threading.Lock()
-        self._last: dict[int, tuple[Splats, Packed]] = {}
+        self._last: dict[str, tuple[Splats, Packed]] = {}
 
     def at(self, frame: int) -> Moment:
         """What is seen in a frame of the run."""
@@ -60,17 +54,15 @@ class Moments:
         return frame in self._kept
 
     def _made(self, frame: int) -> Moment:
-        parts = iter(self.replay.parts(frame))
-        person = self._packed(0, next(parts)) if self.has_person else None
-        thing = self._packed(1, next(parts)) if self.has_thing else None
-        moment = Moment(person, thing)
-        size = sum(part.nbytes for part in (person, thing) if part is not None)
+        parts = zip(self.replay.names, self.replay.parts(frame), strict=True)
+        moment = {name: self._packed(name, splats) for name, splats in parts}
+        size = sum(packed.nbytes for packed in moment.values())
         if size <= self._room:
             self._room -= size
             self._kept[frame] = moment
         return moment
 
-    def _packed(self, part: int, splats: Splats) -> Packed:
+    def _packed(self, part: str, splats: Splats) -> Packed:
         last = self._last.get(part)
         if last is None or last[0] is not splats:  # what has not moved is the same object
             last = self._last[part] = splats, pack(splats)
@@ -119,11 +111,6 @@ def faded(packed: Packed, opacity: float) -> Packed:
     result = packed.copy()
     result[:, 7] = rgba.view(np.uint32)[:, 0]
     return result
-
-
-def positions(packed: Packed) -> NDArray[np.float32]:
-    """Centres [m], (N, 3)."""
-    return packed[:, :3].copy().view(np.float32) * np.float32(UNIT)
 
 
 def single_threaded() -> None:

@@ -19,7 +19,7 @@ from hoi.render.marks import (
     trail,
     trail_colours,
 )
-from hoi.view.moments import UNIT, Moment, Moments, Packed, faded
+from hoi.view.moments import UNIT, Moments, Packed, faded
 
 BONE, NORMAL, IMPULSE = (38, 115, 217), (214, 39, 60), (240, 140, 20)
 LINE, SECTION = (214, 214, 212), (178, 178, 176)
@@ -70,28 +70,20 @@ class RunNodes:
         """
         self.marks, self._moments = marks, moments
         assert moments.run.scene is not None  # checked by `hoi.render.replay.replay`
-        self._above = 0.6 * moments.run.scene.object.size  # where the speed is written [m]
+        thing = moments.run.scene.object
+        self._above = 0.0 if thing is None else 0.6 * thing.size  # where the speed is written [m]
         root = f"/{name}"
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         first = moments.at(0)
-        self._splats = {
-            part: _splats(scene, f"{root}/{part}", packed)
-            for part, packed in (("person", first.person), ("object", first.thing))
-            if packed is not None
-        }
+        self._splats = {part: _splats(scene, f"{root}/{part}", packed) for part, packed in first.items()}
         self._skeleton = self._trail = self._speed = self._particles = None
         if marks.joints is not None:
             self._skeleton = scene.add_line_segments(
                 f"{root}/skeleton", bones(marks.joints[0]), BONE, thickness=4, thickness_units="screen", visible=False
             )
         if marks.com is not None and marks.speed is not None and len(marks.com) > 1:
-            self._trail = scene.add_line_segments(
-                f"{root}/trail",
-                trail(marks.com, 0),
-                trail_colours(marks.speed),
-                thickness=3,
-                thickness_units="screen",
-            )
+            ends, colours = trail(marks.com, 0), trail_colours(marks.speed)
+            self._trail = scene.add_line_segments(f"{root}/trail", ends, colours, thickness=3, thickness_units="screen")
             self._speed = scene.add_label(f"{root}/speed", "", anchor="bottom-left", font_screen_scale=0.9)
         if marks.particles is not None and marks.particle_colours is not None:
             self._particles = scene.add_point_cloud(
@@ -109,17 +101,15 @@ class RunNodes:
         ]
         self._planes = [_plane(scene, f"{root}/ground/{number}", plane) for number, plane in enumerate(marks.planes)]
         if label:
-            scene.add_label(f"{root}/label", label, position=_above(marks, first), anchor="bottom-center")
+            scene.add_label(f"{root}/label", label, position=_above(marks), anchor="bottom-center")
 
     def show(self, frame: int, shown: Shown) -> None:
         """Draw a frame of the run."""
-        moment = self._moments.at(frame)
-        for part, packed in (("person", moment.person), ("object", moment.thing)):
-            if packed is not None:
-                visible = getattr(shown, part)
-                if visible:
-                    self._splats[part].buffer = faded(packed, shown.opacity)
-                self._splats[part].visible = visible
+        for part, packed in self._moments.at(frame).items():
+            visible = getattr(shown, part)
+            if visible:
+                self._splats[part].buffer = faded(packed, shown.opacity)
+            self._splats[part].visible = visible
         if self._skeleton is not None and self.marks.joints is not None:
             if shown.skeleton:
                 self._skeleton.points = bones(self.marks.joints[frame]).astype(np.float32)
@@ -198,11 +188,9 @@ def _plane(scene: viser.SceneApi, name: str, plane: Plane) -> Any:
     )
 
 
-def _above(marks: Marks, first: Moment) -> tuple[float, float, float]:
+def _above(marks: Marks) -> Array:
     """A hand above the head, or above the object where there is nobody."""
     if marks.joints is not None:
-        x, y, z = map(float, marks.joints[0, 15])
-        return x, y, z + 0.4
+        return marks.joints[0, 15] + (0, 0, 0.4)
     assert marks.com is not None  # a run shows a person, an object or both
-    x, y, z = map(float, marks.com[0])
-    return x, y, z + 0.5
+    return marks.com[0] + (0, 0, 0.5)

@@ -22,12 +22,17 @@ from hoi.render.marks import bones, impulse_arrow, marks_of, normal_arrow, plane
 from hoi.render.replay import replay
 from hoi.view.__main__ import main
 from hoi.view.clock import Clock, Player, common_clock
-from hoi.view.moments import UNIT, Moments, faded, load, pack, positions
+from hoi.view.moments import UNIT, Moments, faded, load, pack
 from hoi.view.words import curves_of, facts_markdown, plain, plan_markdown
 from tests.demo_run import make_run, posed_means
 
 FRAMES, CONTACT = 8, 3.4
 WALL = Plane(np.array([0.0, 3.0, 0.0]), np.array([0.0, -1.0, 0.0]))
+
+
+def positions(packed):
+    """Centres [m], (N, 3)."""
+    return packed[:, :3].copy().view(np.float32) * np.float32(UNIT)
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +77,10 @@ def test_frames_hold_the_gaussians_of_the_record(demo):
     person = posed_means(run.scene.body, run.state.motion)
     for frame in (0, 4, 2, FRAMES - 1):
         moment, parts = moments.at(frame), shown.parts(frame)
-        assert moment.person is not None and moment.thing is not None
-        np.testing.assert_allclose(positions(moment.person), person[frame], atol=2e-5)
-        np.testing.assert_allclose(positions(moment.thing), trajectory_of(run).positions[frame, :40], atol=1e-6)
-        for packed, splats in zip((moment.person, moment.thing), parts, strict=True):
+        assert list(moment) == ["person", "object"]
+        np.testing.assert_allclose(positions(moment["person"]), person[frame], atol=2e-5)
+        np.testing.assert_allclose(positions(moment["object"]), trajectory_of(run).positions[frame, :40], atol=1e-6)
+        for packed, splats in zip(moment.values(), parts, strict=True):
             np.testing.assert_allclose(covariances(packed), splats.covariances.numpy(), atol=1e-7)
             rgba = packed[:, 7].copy().view(np.uint8).reshape(-1, 4) / 255
             np.testing.assert_allclose(rgba[:, 3], 0.9, atol=1 / 255)
@@ -84,13 +89,13 @@ def test_frames_hold_the_gaussians_of_the_record(demo):
 
 def test_a_part_that_rests_is_packed_once_and_room_is_kept_to(demo):
     moments = Moments(demo[0])
-    assert moments.at(0).thing is moments.at(1).thing  # at rest before the contact
-    assert moments.at(5).thing is not moments.at(6).thing
+    assert moments.at(0)["object"] is moments.at(1)["object"]  # at rest before the contact
+    assert moments.at(5)["object"] is not moments.at(6)["object"]
     assert moments.prepare(0) and moments.at(2) is moments.at(2)
     tight = Moments(demo[0], kept_bytes=2 * 240 * 32)
     assert [tight.prepare(frame) for frame in range(4)] == [True, True, False, False]
     moment = tight.at(6)
-    assert np.array_equal(moment.person, Moments(demo[0]).at(6).person)
+    assert np.array_equal(moment["person"], Moments(demo[0]).at(6)["person"])
 
 
 def test_thin_gaussians_keep_their_width(demo):
@@ -111,7 +116,7 @@ def test_what_is_not_finite_is_not_seen(demo):
 
 
 def test_fading_leaves_all_but_the_opacity(demo):
-    packed = Moments(demo[0]).at(0).person
+    packed = Moments(demo[0]).at(0)["person"]
     assert packed is not None and faded(packed, 1.0) is packed
     half = faded(packed, 0.5)
     assert np.array_equal(half[:, :7], packed[:, :7]) and np.array_equal(half[:, 7] << 8, packed[:, 7] << 8)
@@ -284,8 +289,8 @@ def test_drawing_sends_the_frame(viewer, demo):
     for frame in (5, 1):
         viewer.draw(frame)
         for nodes in viewer.nodes:
-            assert np.array_equal(nodes._splats["person"].buffer, moments.at(frame).person)
-            assert np.array_equal(nodes._splats["object"].buffer, moments.at(frame).thing)
+            assert np.array_equal(nodes._splats["person"].buffer, moments.at(frame)["person"])
+            assert np.array_equal(nodes._splats["object"].buffer, moments.at(frame)["object"])
         assert viewer.panel.frame == frame
 
 
@@ -395,7 +400,7 @@ def test_a_hundred_thousand_gaussians():
     started = time.process_time()
     moment = moments.at(2)
     assert time.process_time() - started < 2
-    assert moment.thing is not None and moment.thing.nbytes == 3_200_000
+    assert moment["object"].nbytes == 3_200_000
     marks = marks_of(run)
     assert marks.particles is not None and 20_000 < marks.particles.shape[1] <= 40_000
 

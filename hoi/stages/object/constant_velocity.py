@@ -47,7 +47,7 @@ def constant_velocity(
     from hoi.method.object_motion import Advanced, rigid_energy
     from hoi.mpm.state import centre_of_mass
 
-    velocity = centre_of_mass(state.velocities, scene.object.masses)
+    velocity = centre_of_mass(state.velocities, scene.thing.masses)
     states = []
     for stop in stops:
         moved = state.positions + velocity * (stop - start) / scene.fps

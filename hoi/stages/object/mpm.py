@@ -150,7 +150,7 @@ def advance(
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
 
-    thing, dx = scene.object, conf.cell(size)
+    thing, dx = scene.thing, conf.cell(size)
     planes = scene.planes
     times = (np.asarray(stops) - start) / scene.fps
     if collider is not None:

@@ -12,15 +12,15 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hoi import record
-from hoi.body.skeleton import PARENTS
 from hoi.data import Array, Run
 from hoi.errors import InputError
 from hoi.files import whole_file
+from hoi.render.marks import bones
 from hoi.render.shown import scene_of
 
 if TYPE_CHECKING:
@@ -133,11 +133,12 @@ def _log(stream: "RecordingStream", run: Run, path: Path) -> None:
         stream.log(BONES, here, static=True)
         for frame, joints in enumerate(record.joints(path)):
             _at(stream, frame / fps)
-            bones = [[joints[parent], joints[joint]] for joint, parent in enumerate(PARENTS[1:], start=1)]
-            stream.log(BONES, rr.LineStrips3D(bones, colors=[BONE], radii=[0.008]))
-    if run.state.trajectory is not None:
-        trajectory = run.state.trajectory
-        _curves(stream, trajectory.energy, np.linalg.norm(trajectory.com_velocity, axis=1), fps)
+            stream.log(BONES, rr.LineStrips3D(bones(joints), colors=[BONE], radii=[0.008]))
+    if (trajectory := run.state.trajectory) is not None:
+        energies = zip(COLOURS, (*trajectory.energy.T, trajectory.energy.sum(1)), strict=True)
+        for name, values in energies:
+            _curve(stream, f"{ENERGY}/{name}", values, fps, COLOURS[name])
+        _curve(stream, SPEED, np.linalg.norm(trajectory.com_velocity, axis=1), fps, COLOURS["elastic"])
         for frame, phase in enumerate(trajectory.phase):
             if frame == 0 or phase != trajectory.phase[frame - 1]:
                 _at(stream, frame / fps)
@@ -152,21 +153,14 @@ def _log(stream: "RecordingStream", run: Run, path: Path) -> None:
             stream.log(NORMAL, rr.Arrows3D(vectors=normals, origins=origins, colors=[ARROW], radii=[0.012]))
 
 
-def _curves(stream: "RecordingStream", energy: Array, speed: Array, fps: float) -> None:
-    """Energies [J] (T, 3) and their sum, and speed [m/s] (T,)."""
+def _curve(stream: "RecordingStream", entity: str, values: Array, fps: float, colour: tuple[int, int, int]) -> None:
+    """Numbers (T,) over time, named as the last part of the entity."""
     import rerun as rr
 
-    columns: dict[str, Any] = dict(zip(COLOURS, (*energy.T, energy.sum(1)), strict=True))
-    for name, values in columns.items():
-        style = rr.SeriesLines(colors=[COLOURS[name]], names=[name])
-        stream.log(f"{ENERGY}/{name}", style, static=True)
-        for frame, value in enumerate(values):
-            _at(stream, frame / fps)
-            stream.log(f"{ENERGY}/{name}", rr.Scalars(float(value)))
-    stream.log(SPEED, rr.SeriesLines(colors=[COLOURS["elastic"]], names=["speed"]), static=True)
-    for frame, value in enumerate(speed):
+    stream.log(entity, rr.SeriesLines(colors=[colour], names=[entity.rpartition("/")[2]]), static=True)
+    for frame, value in enumerate(values):
         _at(stream, frame / fps)
-        stream.log(SPEED, rr.Scalars(float(value)))
+        stream.log(entity, rr.Scalars(float(value)))
 
 
 def _at(stream: "RecordingStream", seconds: float) -> None:
