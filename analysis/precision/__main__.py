@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from hoi.errors import InputError
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from .pictures import View
     from .problems import Problem
 
+Study = tuple[list[str], str, list[Path]]
+"""What to say of it, what was done, the files."""
 DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
 STARTS = ".starts"
@@ -69,19 +71,16 @@ def main() -> None:
     if unknown:
         raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for study, chosen in (
+    studies: list[tuple[Callable[..., Study], list[Any]]] = [
         (_physics, [problems[name] for name in names if name in problems]),
         (_renderer, [views[name] for name in names if name in views]),
         (_contacts, [CONTACTS] if CONTACTS in names else []),
-    ):
+    ]
+    for study, chosen in studies:
         if chosen:
             began = time.perf_counter()
             said, done, paths = study(arguments, chosen)
             print(*said, f"{done} in {time.perf_counter() - began:.0f} s", *paths, sep="\n")
-
-
-Study = tuple[list[str], str, list[Path]]
-"""What to say of it, what was done, the files."""
 
 
 def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Problem]]") -> Study:

@@ -184,9 +184,15 @@ def optimise(
         raise RunError("the motion is not finite after the last iteration; lower the guidance or learning rate")
 
 
-def load_distillation(scene: Scene, settings: "HMSD", device: str, stand: bool = False) -> ScoreDistillation:
-    """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still."""
-    prior = load_prior(Path(settings.checkpoint) if settings.checkpoint else None, device)
+def load_distillation(
+    scene: Scene, settings: "HMSD", device: str, stand: bool = False, clip: Path | None = None
+) -> ScoreDistillation:
+    """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still.
+
+    Args:
+        clip: folder of the text encoder of a prior that wants one (see `hoi.motion.prior.load_prior`).
+    """
+    prior = load_prior(Path(settings.checkpoint) if settings.checkpoint else None, device, clip)
     body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
     return ScoreDistillation(
         prior=prior,
@@ -240,25 +246,36 @@ def synthesise(
     return pose.motions(scene.fps)
 
 
+def sample_features(distillation: ScoreDistillation, settings: "HMSD", frames: int, seeds: Sequence[int]) -> Tensor:
+    """One motion a seed drawn from the prior, as its features (B, T, 205), for its own skeleton.
+
+    Raises:
+        RunError: they are not finite.
+    """
+    prior = distillation.prior
+
+    def predict(x: Tensor, t: Tensor) -> Tensor:
+        return distillation.predict_x0(x, t, settings.sample_guidance, settings.sample_rescale)
+
+    sample = ddim_sample if settings.sampler == "ddim" else ancestral_sample
+    steps = None if settings.sample_steps is None else min(settings.sample_steps, prior.timesteps)
+    generators = stream_generators(seeds, "sample")
+    shape = (len(seeds), frames, features.FEATURE_COUNT)
+    drawn = prior.denormalise(sample(predict, shape, prior.alphas_cumprod, generators, steps, prior.device))
+    if not bool(drawn.isfinite().all()):
+        raise RunError("the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior")
+    return drawn
+
+
 def sample_motions(
     scene: Scene, distillation: ScoreDistillation, settings: "HMSD", seeds: Sequence[int]
 ) -> list[Motion]:
     """One motion a seed drawn from the prior, on this body, from the origin facing +Y.
 
     Raises:
-        RunError: the prior's sample is not finite.
+        RunError: as `sample_features`.
     """
-    prior, shape = distillation.prior, (len(seeds), scene.frames, features.FEATURE_COUNT)
-
-    def predict(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
-        return distillation.predict_x0(x, t, settings.sample_guidance, settings.sample_rescale)
-
-    sample = ddim_sample if settings.sampler == "ddim" else ancestral_sample
-    steps = None if settings.sample_steps is None else min(settings.sample_steps, prior.timesteps)
-    generators = stream_generators(seeds, "sample")
-    x0 = sample(predict, shape, prior.alphas_cumprod, generators, steps, prior.device)
-    translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(prior.denormalise(x0)))
-    translation = translation / distillation.leg_ratio + np.array([0, 0, distillation.sole_height], translation.dtype)
-    if not all(np.isfinite(values).all() for values in (translation, orientation, body_pose)):
-        raise RunError("the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior")
+    drawn = sample_features(prior, settings, scene.frames, seeds)
+    translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(drawn))
+    translation = translation / prior.leg_ratio + np.array([0, 0, prior.sole_height], translation.dtype)
     return [Motion(*parts, fps=scene.fps) for parts in zip(translation, orientation, body_pose, strict=True)]

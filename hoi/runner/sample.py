@@ -1,4 +1,4 @@
-"""Draw a motion from a sentence.
+"""Draw a motion from a sentence: what stage 1 of a run starts from.
 
     python -m hoi.runner.sample "a person kicks" -o kick.npz
     python -m hoi.runner.sample "a person kicks" -o kick.mcap --person woman
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,12 +27,24 @@ from hoi.data import Body, Motion, Plan, Plane, Run, Scene, State, Step
 from hoi.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from hoi.motion.prior import MotionPrior
+    from hoi.method.hmsd import ScoreDistillation
+    from hoi.stages.motion.hmsd import HMSD
 
 SUFFIXES = (".npz", ".mcap")
 MOST_FRAMES = 4000
 """The denoiser has places for some thousand tokens."""
 VIEWING_POINTS = 6000
+FPS = 20.0
+"""Of a scene whose prior is not loaded yet [1/s]."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a motion was drawn with."""
+
+    scene: Scene
+    distillation: ScoreDistillation
+    settings: HMSD
 
 
 def parser() -> argparse.ArgumentParser:
@@ -44,15 +57,47 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("prompt")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".npz as in AMASS, or .mcap to look at")
     parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--guidance", type=float, default=2.5)
+    parser.add_argument("--guidance", type=float, help="scale of the text (default: that of a run)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--prior", type=Path, help="a trained folder or an STMC checkpoint; default: the one shipped")
     parser.add_argument(
         "--clip", type=Path, help="for STMC, a Hugging Face folder of CLIP ViT-B/32; default: its clip/"
     )
-    parser.add_argument("--person", default="man", help="who moves in the .mcap: one of the people in the package")
+    parser.add_argument("--person", default="man", help="who moves: one of the people in the package")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     return parser
+
+
+def drawn(
+    prompt: str,
+    body: str | Body,
+    seed: int,
+    frames: int,
+    checkpoint: str | Path | None = None,
+    guidance: float | None = None,
+    device: str = "cpu",
+    clip: Path | None = None,
+) -> tuple[Motion, Drawing]:
+    """The motion that stage 1 of a run with this prompt, person and seed starts from; see `hoi.api.sample_motion`."""
+    from hoi.body.people import load_person
+    from hoi.config.compose import config_of
+    from hoi.method.hmsd import load_distillation, sample_motions
+    from hoi.stages.motion.hmsd import HMSD
+
+    if not 3 <= frames <= MOST_FRAMES:
+        raise InputError(f"frames {frames}: must be at least 3, and at most {MOST_FRAMES}")
+    settings = config_of("stage/motion=hmsd").stage.motion
+    assert isinstance(settings, HMSD)
+    settings = replace(settings, checkpoint=None if checkpoint is None else str(checkpoint))
+    if guidance is not None:
+        settings = replace(settings, sample_guidance=guidance)
+    person = load_person(body) if isinstance(body, str) else body
+    ground, gravity = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0])), np.array([0.0, 0.0, -9.81])
+    scene = Scene("sample", person, None, prompt, frames, FPS, gravity, (ground,))
+    distillation = load_distillation(scene, settings, device, clip=clip)
+    scene = replace(scene, fps=distillation.prior.fps)
+    (motion,) = sample_motions(scene, distillation, settings, [seed])
+    return motion, Drawing(scene, distillation, settings)
 
 
 def sample(options: argparse.Namespace) -> None:
@@ -65,11 +110,7 @@ def sample(options: argparse.Namespace) -> None:
     import torch
 
     from hoi import record
-    from hoi.body.people import load_person
-    from hoi.body.skinning import posed_means
-    from hoi.gaussians import colours
-    from hoi.motion.features import decode
-    from hoi.motion.prior import load_prior
+    from hoi.runner.jobs import viewing_points
 
     started = time.perf_counter()
     if options.out.suffix not in SUFFIXES:
@@ -78,30 +119,25 @@ def sample(options: argparse.Namespace) -> None:
         raise InputError(f"--frames {options.frames}: must be at least 3, and at most {MOST_FRAMES}")
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found")
-    body = load_person(options.person) if options.out.suffix == ".mcap" else None
-    prior = load_prior(options.prior, options.device, options.clip)
-    generator = torch.Generator().manual_seed(options.seed)
-    features = prior.sample(options.prompt, options.frames, options.guidance, generator).cpu()
-    if not features.isfinite().all():
-        raise InputError(f"--guidance {options.guidance:g}: the motion is not finite; a smaller one gives one that is")
-    motion = Motion(*(part.numpy() for part in decode(features)), fps=prior.fps)
-    if body is None:
-        _write_npz(options, prior, motion)
+    given = (options.prompt, options.person, options.seed, options.frames, options.prior, options.guidance)
+    try:
+        motion, drawing = drawn(*given, options.device, options.clip)
+    except RunError as error:
+        guidance = "" if options.guidance is None else f" {options.guidance:g}"
+        raise InputError(f"--guidance{guidance}: the motion is not finite; a smaller one gives one that is") from error
+    if options.out.suffix == ".npz":
+        _write_npz(options, drawing)
     else:
-        moved = prior.on_body(motion, body)
-        run = run_of(moved, body, options.prompt, options.seed, prior, options.guidance, time.perf_counter() - started)
-        chosen = np.linspace(0, len(body.cloud) - 1, VIEWING_POINTS).astype(int)
-        points = posed_means(body, moved, subset=chosen), colours(body.cloud)[chosen]
+        run = run_of(motion, drawing, options.seed, time.perf_counter() - started)
+        points = viewing_points(drawing.scene, run.state, VIEWING_POINTS)
         record.write(run, options.out, *points, plan_text=f"motion  {run.plan.steps[0].reason}\n")
 
 
-def run_of(
-    motion: Motion, body: Body, prompt: str, seed: int, prior: MotionPrior, guidance: float, seconds: float
-) -> Run:
+def run_of(motion: Motion, drawing: Drawing, seed: int, seconds: float) -> Run:
     """A record's content: a person on the ground, and no object."""
-    ground = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    frames, gravity = len(motion), np.array([0.0, 0.0, -9.81])
-    said = f"{prior.source}: {prior.timesteps} steps of ancestral sampling, guidance {guidance:g}"
+    prior, settings = drawing.distillation.prior, drawing.settings
+    steps = min(settings.sample_steps or prior.timesteps, prior.timesteps)
+    said = f"{prior.source}: {steps} steps of {settings.sampler.value} sampling, guidance {settings.sample_guidance:g}"
     facts = {"seed": str(seed), "scene": "sample", "experiment": "sample", "ablation": "full", "config_hash": ""}
     result = {"status": "done", "outcome": "a motion without an object", "variant": "sample", "seconds": repr(seconds)}
     return Run(
@@ -111,27 +147,31 @@ def run_of(
         plan=Plan("sample", (Step("motion", "sample", said),), (), ()),
         reports=(),
         history=(),
-        scene=Scene("sample", body, None, prompt, frames, motion.fps, gravity, (ground,)),
+        scene=drawing.scene,
         state=State(motion=motion),
     )
 
 
-def _write_npz(options: argparse.Namespace, prior: MotionPrior, motion: Motion) -> None:
+def _write_npz(options: argparse.Namespace, drawing: Drawing) -> None:
+    """On the prior's own skeleton."""
     import roma
-    import torch
 
     from hoi.body.kinematics import forward_kinematics, local_rotations
+    from hoi.method.hmsd import sample_features
+    from hoi.motion.features import decode
 
-    parts = (torch.from_numpy(part) for part in (motion.orientation, motion.body_pose))
-    local, rest_joints = local_rotations(*parts), prior.rest_joints.cpu()
-    _, joints = forward_kinematics(local, torch.from_numpy(motion.translation), rest_joints)
+    prior = drawing.distillation.prior
+    (features,) = sample_features(drawing.distillation, drawing.settings, options.frames, [options.seed]).cpu()
+    translation, *turns = decode(features)
+    local, rest_joints = local_rotations(*turns), prior.rest_joints.cpu()
+    _, joints = forward_kinematics(local, translation, rest_joints)
     try:
         with options.out.open("wb") as file:
             np.savez(
                 file,
                 poses=roma.rotmat_to_rotvec(local).flatten(1).numpy(),
-                trans=motion.translation,
-                mocap_framerate=np.array(motion.fps),
+                trans=translation.numpy(),
+                mocap_framerate=np.array(prior.fps),
                 joints=joints.numpy(),
                 rest_joints=rest_joints.numpy(),
                 prompt=np.array(options.prompt),
