@@ -1,4 +1,4 @@
-"""Files and folders written whole or not at all."""
+"""Files and folders written whole or not at all, and where those of the package are."""
 
 import os
 import re
@@ -8,6 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
+
+CONF = Path(__file__).parent / "conf"
+"""The folder of the configs that come with hoi."""
+if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
+    CONF = Path(__file__).parents[1] / "conf"
 
 
 @contextmanager

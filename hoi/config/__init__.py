@@ -6,7 +6,6 @@ imports.
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
@@ -56,6 +55,7 @@ from hoi.config.stages import (
     WindowConf,
     WindowedConf,
 )
+from hoi.files import CONF
 
 __all__ = [
     "CONF",
@@ -112,10 +112,6 @@ __all__ = [
     "WindowedConf",
     "register",
 ]
-
-CONF = Path(__file__).parents[1] / "conf"
-if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
-    CONF = Path(__file__).parents[2] / "conf"
 
 
 @dataclass

@@ -17,7 +17,8 @@ def publish(state: dict[str, Any], facts: dict[str, Any], options: argparse.Name
     """
     out = options.out
     tensors = {DENOISER_PREFIX + name: value for name, value in state["average"].items()}
-    statistics = (state[name] for name in ("mean", "std", "text_mean", "text_std"))
+    statistics = ("mean", "std", "text_mean", "text_std")
+    tensors |= {name: state[kept] for name, kept in zip(STATISTICS, statistics, strict=True)}
     description = {
         "source": f"embedded prior, {state['step']} steps",
         "features": "smplrifke",
@@ -27,7 +28,7 @@ def publish(state: dict[str, Any], facts: dict[str, Any], options: argparse.Name
         "text_encoder": {"name": "all-MiniLM-L6-v2", "package": MINILM_PACKAGE, "sha256": MINILM_SHA256},
         "rest_joints": [[round(value, 6) for value in row] for row in state["rest_joints"].tolist()],
     }
-    write_prior(out, tensors | dict(zip(STATISTICS, statistics, strict=True)), description)
+    write_prior(out, tensors, description)
     log = read_log(out)
     write_report(out, state, log, options, command, **facts)
     with curves(out / "curve.png", 1, (6, 3.5)) as (axes,):

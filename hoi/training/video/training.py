@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -36,12 +37,9 @@ class Words:
     def __init__(self) -> None:
         rows: dict[str, int] = {"": 0}
         self.choices: dict[tuple[int, int, int, int], list[int]] = {}
-        for limb in range(len(LIMBS)):
-            for shape in range(len(OBJECT_SHARES)):
-                for person in range(len(PEOPLE)):
-                    for said, key in enumerate(SAID):
-                        found = captions(limb, shape, person, key)
-                        self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
+        for limb, shape, person, said in np.ndindex(len(LIMBS), len(OBJECT_SHARES), len(PEOPLE), len(SAID)):
+            found = captions(limb, shape, person, SAID[said])
+            self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
         self.raw = minilm().embed(list(rows))
         self.normalise(self.raw.mean(0), self.raw.std(0))
 
