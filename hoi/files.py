@@ -1,4 +1,4 @@
-"""Files and folders written whole or not at all."""
+"""Files and folders written whole or not at all, and where those of the package are."""
 
 import errno
 import os
@@ -12,6 +12,10 @@ from hoi.errors import InputError, RunError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors that are the disk's, and not those of the path."""
+CONF = Path(__file__).parent / "conf"
+"""The folder of the configs that come with hoi."""
+if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
+    CONF = Path(__file__).parents[1] / "conf"
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, POSE_FEATURES
 from hoi.data import Body
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.gaussians import read_gaussians, write_ply
 
 PLY_NAME = "gaussians.ply"
@@ -49,31 +49,32 @@ def load_avatar(ply_path: Path | str, skinning_path: Path | str | None = None) -
             raise InputError(f"{ply_path}: {key}: holds values that are not finite")
     skinning = _read_npz(skinning_path)
 
-    weights = _numbers(skinning_path, skinning, "weights", (len(cloud), JOINT_COUNT))
-    rest_joints = _numbers(skinning_path, skinning, "rest_joints", (JOINT_COUNT, 3))
-    parents = _numbers(skinning_path, skinning, "parents", (JOINT_COUNT,))
-    if weights.min() < 0:
-        raise InputError(f"{skinning_path}: weights: smallest is {weights.min():g}; must not be negative")
-    sums = weights.sum(axis=1)
-    worst = int(np.abs(sums - 1).argmax())
-    if abs(sums[worst] - 1) > ROW_SUM_TOLERANCE:
-        raise InputError(f"{skinning_path}: weights: row {worst} sums to {sums[worst]:g}; each row must sum to 1")
-    # Files keep the root's parent as -1 or, after SMPL, as the largest unsigned integer.
-    if tuple(parents[1:]) != PARENTS[1:]:
-        raise InputError(f"{skinning_path}: parents={parents.astype(int).tolist()}: must be SMPL's {list(PARENTS)}")
-    names = tuple(str(name) for name in np.atleast_1d(_get(skinning_path, skinning, "joint_names")))
-    if names != JOINT_NAMES:
-        raise InputError(f"{skinning_path}: joint_names={','.join(names)}: must be {','.join(JOINT_NAMES)}")
-    for key, allowed in (("up", "y"), ("pose", "tpose")):
-        if (value := str(_get(skinning_path, skinning, key))) != allowed:
-            raise InputError(f"{skinning_path}: {key}={value!r}: must be {allowed!r}")
+    with about(skinning_path):
+        weights = _numbers(skinning, "weights", (len(cloud), JOINT_COUNT))
+        rest_joints = _numbers(skinning, "rest_joints", (JOINT_COUNT, 3))
+        parents = _numbers(skinning, "parents", (JOINT_COUNT,))
+        if weights.min() < 0:
+            raise InputError(f"weights: smallest is {weights.min():g}; must not be negative")
+        sums = weights.sum(axis=1)
+        worst = int(np.abs(sums - 1).argmax())
+        if abs(sums[worst] - 1) > ROW_SUM_TOLERANCE:
+            raise InputError(f"weights: row {worst} sums to {sums[worst]:g}; each row must sum to 1")
+        # Files keep the root's parent as -1 or, after SMPL, as the largest unsigned integer.
+        if tuple(parents[1:]) != PARENTS[1:]:
+            raise InputError(f"parents={parents.astype(int).tolist()}: must be SMPL's {list(PARENTS)}")
+        names = tuple(str(name) for name in np.atleast_1d(_get(skinning, "joint_names")))
+        if names != JOINT_NAMES:
+            raise InputError(f"joint_names={','.join(names)}: must be {','.join(JOINT_NAMES)}")
+        for key, allowed in (("up", "y"), ("pose", "tpose")):
+            if (value := str(_get(skinning, key))) != allowed:
+                raise InputError(f"{key}={value!r}: must be {allowed!r}")
 
-    source, licence = (str(_get(skinning_path, skinning, key)) for key in ("source", "licence"))
-    weights = (weights / sums[:, None]).astype(np.float32)
-    directions = None
-    if "pose_directions" in skinning:
-        shape = (len(cloud), 3, POSE_FEATURES)
-        directions = _numbers(skinning_path, skinning, "pose_directions", shape).astype(np.float16)
+        source, licence = (str(_get(skinning, key)) for key in ("source", "licence"))
+        weights = (weights / sums[:, None]).astype(np.float32)
+        directions = None
+        if "pose_directions" in skinning:
+            shape = (len(cloud), 3, POSE_FEATURES)
+            directions = _numbers(skinning, "pose_directions", shape).astype(np.float16)
     licensed = f"{source}{LICENCE_MARK}{licence}"
     return Body(name, cloud, weights, rest_joints.astype(np.float32), licensed, directions)
 
@@ -111,16 +112,16 @@ def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError(f"{path}: not a skinning .npz of plain arrays") from None
 
 
-def _get(path: Path, data: dict[str, NDArray[Any]], key: str) -> NDArray[Any]:
+def _get(data: dict[str, NDArray[Any]], key: str) -> NDArray[Any]:
     if key not in data:
-        raise InputError(f"{path}: {key}: missing; the file has {', '.join(data) or 'nothing'}")
+        raise InputError(f"{key}: missing; the file has {', '.join(data) or 'nothing'}")
     return data[key]
 
 
-def _numbers(path: Path, data: dict[str, NDArray[Any]], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    array = _get(path, data, key)
+def _numbers(data: dict[str, NDArray[Any]], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = _get(data, key)
     if array.shape != shape or array.dtype.kind not in "fiu":
-        raise InputError(f"{path}: {key}: {array.dtype} of shape {array.shape}; must be numbers of shape {shape}")
+        raise InputError(f"{key}: {array.dtype} of shape {array.shape}; must be numbers of shape {shape}")
     if not np.isfinite(array).all():
-        raise InputError(f"{path}: {key}: holds values that are not finite")
+        raise InputError(f"{key}: holds values that are not finite")
     return array.astype(np.float64)

@@ -6,7 +6,6 @@ none); `docs/` makes the reference of all keys from that. No heavy imports.
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
@@ -14,6 +13,7 @@ from omegaconf import MISSING
 from hoi.config.agents import BoxConf, HumanConf, MaterialConf, ObjectConf, RegionConf
 from hoi.config.choices import Ablation, Approach, Device, HumanKind, MaterialModel, ObjectKind, PlaneContact
 from hoi.config.scene import PlacementConf, PlaneConf, SceneConf
+from hoi.files import CONF
 from hoi.stages import options
 from hoi.stages.contract import Attraction, ContactModel, MotionSource, ObjectMover, Option, Refinement, Renderer
 from hoi.stages.coordinate.default import Coordinate
@@ -40,10 +40,6 @@ __all__ = [
     "StageConf",
     "register",
 ]
-
-CONF = Path(__file__).parents[1] / "conf"
-if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
-    CONF = Path(__file__).parents[2] / "conf"
 
 
 @dataclass

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hoi.data import Array
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 
 AXES = "XYZ"
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in AXES)
@@ -93,8 +93,9 @@ def read_bvh(path: Path) -> Recording:
     header, *motion = re.split(r"^\s*MOTION\s*$", text, maxsplit=1, flags=re.MULTILINE | re.IGNORECASE)
     if not motion or "HIERARCHY" not in header.upper():
         raise InputError(f"{path} is no BVH file: HIERARCHY and MOTION must each stand on a line of their own")
-    joints = _hierarchy(header, path)
-    frames, values, fps = _motion(motion[0], path)
+    with about(path):
+        joints = _hierarchy(header)
+        frames, values, fps = _motion(motion[0])
     columns = sum(len(joint.channels) for joint in joints)
     if len(values) != frames * columns:
         expected = f"{frames} frames of {columns} channels are {frames * columns}"
@@ -104,7 +105,7 @@ def read_bvh(path: Path) -> Recording:
     return Recording(joints, values.reshape(frames, columns), fps)
 
 
-def _hierarchy(header: str, path: Path) -> tuple[Joint, ...]:
+def _hierarchy(header: str) -> tuple[Joint, ...]:
     joints: list[Joint] = []
     open_nodes: list[int | None] = []
     """Indices of the joints around the current line; None for an end site."""
@@ -117,7 +118,7 @@ def _hierarchy(header: str, path: Path) -> tuple[Joint, ...]:
             case ["ROOT" | "JOINT"]:
                 parent = open_nodes[-1] if open_nodes else -1
                 if parent is None or (parent < 0 and joints):
-                    raise InputError(f"{path}: {line.strip()!r} stands outside the one skeleton that is read")
+                    raise InputError(f"{line.strip()!r} stands outside the one skeleton that is read")
                 joints.append(Joint(" ".join(words[1:]), parent))
                 entering = len(joints) - 1
             case ["END"]:
@@ -127,36 +128,36 @@ def _hierarchy(header: str, path: Path) -> tuple[Joint, ...]:
             case ["}"] if open_nodes:
                 open_nodes.pop()
             case ["OFFSET"] if open_nodes:
-                offset = _numbers(words[1:], line, path)
+                offset = _numbers(words[1:], line)
                 if len(offset) != 3:
-                    raise InputError(f"{path}: {line.strip()!r}: an offset has 3 numbers")
+                    raise InputError(f"{line.strip()!r}: an offset has 3 numbers")
                 if (at := open_nodes[-1]) is not None:
                     joints[at].offset = tuple(offset)
             case ["CHANNELS"] if open_nodes and (at := open_nodes[-1]) is not None:
                 names = tuple(word.capitalize() for word in words[2:])
                 if words[1:2] != [str(len(names))] or not set(names) <= set(CHANNELS):
-                    raise InputError(f"{path}: {line.strip()!r}: must be a count and as many of {', '.join(CHANNELS)}")
+                    raise InputError(f"{line.strip()!r}: must be a count and as many of {', '.join(CHANNELS)}")
                 joints[at].channels = names
             case _:
-                raise InputError(f"{path}: {line.strip()!r} is not understood")
+                raise InputError(f"{line.strip()!r} is not understood")
     if not joints or open_nodes:
-        raise InputError(f"{path}: its HIERARCHY has no joint or a brace that is not closed")
+        raise InputError("its HIERARCHY has no joint or a brace that is not closed")
     return tuple(joints)
 
 
-def _motion(text: str, path: Path) -> tuple[int, Array, float]:
+def _motion(text: str) -> tuple[int, Array, float]:
     """Number of frames, all values, frames a second."""
     head = re.match(r"\s*Frames:\s*(\d+)\s+Frame\s+Time:\s*(\S+)([^\n]*)\n?", text, re.IGNORECASE)
     if head is None:
-        raise InputError(f"{path}: after MOTION there must be 'Frames: N' and 'Frame Time: SECONDS'")
-    frames, (frame_time,) = int(head[1]), _numbers([head[2]], head[0].strip().replace("\n", " "), path)
+        raise InputError("after MOTION there must be 'Frames: N' and 'Frame Time: SECONDS'")
+    frames, (frame_time,) = int(head[1]), _numbers([head[2]], head[0].strip().replace("\n", " "))
     if frames < 1 or not (math.isfinite(frame_time) and frame_time > 0):
-        raise InputError(f"{path}: {frames} frames of {frame_time:g} s each; both must be greater than 0")
-    return frames, np.array(_numbers(text[head.end() :].split(), "the values of the frames", path)), 1 / frame_time
+        raise InputError(f"{frames} frames of {frame_time:g} s each; both must be greater than 0")
+    return frames, np.array(_numbers(text[head.end() :].split(), "the values of the frames")), 1 / frame_time
 
 
-def _numbers(words: list[str], where: str, path: Path) -> list[float]:
+def _numbers(words: list[str], where: str) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError as error:
-        raise InputError(f"{path}: {where.strip()!r}: {error}") from None
+        raise InputError(f"{where.strip()!r}: {error}") from None

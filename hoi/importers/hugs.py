@@ -26,7 +26,7 @@ from hoi.body.avatar import LICENCE_MARK
 from hoi.body.kinematics import forward_kinematics, rotation_from_6d
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, POSE_FEATURES
 from hoi.data import Body, GaussianCloud
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.importers.smpl import LICENCE as SMPL_LICENCE
 from hoi.importers.smpl import read_smpl
 
@@ -118,30 +118,27 @@ class Checkpoint:
     def __init__(self, path: Path, values: Mapping[str, Any]) -> None:
         self.path, self.values = path, values
 
-    def has(self, *names: str) -> bool:
+    def find(self, *names: str) -> Any:
+        """What is there under these names, one in the other; None where there is nothing."""
         node: Any = self.values
         for name in names:
-            if not isinstance(node, Mapping) or name not in node:
-                return False
-            node = node[name]
-        return True
+            node = node.get(name) if isinstance(node, Mapping) else None
+        return node
 
     def tensor(self, *names: str, shape: tuple[int | None, ...]) -> Tensor:
         """In float32; None in `shape` allows any extent."""
-        where = ".".join(names)
-        if not self.has(*names):
-            raise InputError(f"{self.path}: {where}: missing; not the human of a HUGS checkpoint")
-        node: Any = self.values
-        for name in names:
-            node = node[name]
-        given = tuple(node.shape) if isinstance(node, Tensor) else None
-        fits = given is not None and len(given) == len(shape)
-        if not fits or any(want not in (None, have) for want, have in zip(shape, given or (), strict=True)):
-            wanted = ", ".join("any" if extent is None else str(extent) for extent in shape)
-            found = type(node).__name__ if given is None else f"shape {given}"
-            raise InputError(f"{self.path}: {where}: {found}; must be a tensor of shape ({wanted})")
-        if not torch.isfinite(node).all():
-            raise InputError(f"{self.path}: {where}: holds values that are not finite")
+        node = self.find(*names)
+        with about(self.path), about(".".join(names)):
+            if node is None:
+                raise InputError("missing; not the human of a HUGS checkpoint")
+            given = tuple(node.shape) if isinstance(node, Tensor) else None
+            fits = given is not None and len(given) == len(shape)
+            if not fits or any(want not in (None, have) for want, have in zip(shape, given or (), strict=True)):
+                wanted = ", ".join("any" if extent is None else str(extent) for extent in shape)
+                found = type(node).__name__ if given is None else f"shape {given}"
+                raise InputError(f"{found}; must be a tensor of shape ({wanted})")
+            if not torch.isfinite(node).all():
+                raise InputError("holds values that are not finite")
         return node.detach().float()
 
     def linear(self, decoder: str, layer: str, x: Tensor, out: int | None) -> Tensor:
@@ -190,7 +187,7 @@ def decode(state: Checkpoint) -> Decoded:
     skinning = functional.gelu(functional.linear(deformation, weight, bias))
     skinning = functional.gelu(state.linear("deformation_dec", "skinning", skinning, JOINT_COUNT))
     directions = None
-    if state.has("deformation_dec", "blendshapes.weight"):
+    if state.find("deformation_dec", "blendshapes.weight") is not None:
         # HUGS reads the flattened (N, 621) array as (207, N, 3), and has learned it so.
         flat = state.linear("deformation_dec", "blendshapes", deformation, 3 * POSE_FEATURES)
         directions = flat.reshape(POSE_FEATURES, count, 3).permute(1, 2, 0)

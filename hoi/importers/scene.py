@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from omegaconf import OmegaConf
 
-from hoi.config import CONF
 from hoi.data import Material
-from hoi.errors import InputError
+from hoi.errors import InputError, about
+from hoi.files import CONF
 from hoi.importers.physgaussian.reader import CAMERA, SceneFile, read_scene_file
 from hoi.mpm.materials import check_material
 from hoi.mpm.stability import time_step_limit
@@ -176,10 +176,8 @@ def _materials(file: SceneFile, name: str) -> tuple[Material, list[Material]]:
         for k, part in enumerate(file.parts, 1)
     ]
     for checked in (material, *parts):
-        try:
+        with about(f"{file.path}: {file.material}"):
             check_material(checked)
-        except InputError as error:
-            raise InputError(f"{file.path}: {file.material}: {error}") from None
     return material, parts
 
 

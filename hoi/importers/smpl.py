@@ -20,7 +20,7 @@ from hoi.body.clothing import MAN_HEAD, MAN_HEIGHT, OUTFITS, Face
 from hoi.body.people import MIN_GAUSSIANS, dress, sample_surface, vertex_normals
 from hoi.body.skeleton import JOINT_NAMES, PARENTS, POSE_FEATURES
 from hoi.data import Array, Body
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.importers.unpickle import read_arrays
 
 LICENCE = "SMPL body model licence: non-commercial research, no redistribution"
@@ -162,37 +162,38 @@ def read_smpl(path: Path) -> SmplModel:
     """
     path = Path(path)
     arrays = read_arrays(path, KEYS)
-    missing = [key for key in KEYS if key not in arrays]
-    if missing:
-        raise InputError(f"{path}: {', '.join(missing)}: missing; not an SMPL model file")
-    for key, array in arrays.items():
-        if array.dtype.kind not in "iuf" or not np.isfinite(array).all():
-            raise InputError(f"{path}: {key}: {array.dtype}; must be finite numbers")
+    with about(path):
+        missing = [key for key in KEYS if key not in arrays]
+        if missing:
+            raise InputError(f"{', '.join(missing)}: missing; not an SMPL model file")
+        for key, array in arrays.items():
+            if array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+                raise InputError(f"{key}: {array.dtype}; must be finite numbers")
 
-    vertices, joints = len(arrays["v_template"]), arrays["weights"].shape[-1]
-    if joints not in FAMILIES:
-        known = ", ".join(f"{count} ({family.name})" for count, family in FAMILIES.items())
-        raise InputError(f"{path}: weights: {joints} joints; must be {known}")
-    family = FAMILIES[joints]
-    shapes = {
-        "v_template": (vertices, 3),
-        "shapedirs": (vertices, 3, -1),
-        "posedirs": (vertices, 3, 9 * (joints - 1)),
-        "J_regressor": (joints, vertices),
-        "weights": (vertices, joints),
-        "kintree_table": (2, joints),
-        "f": (-1, 3),
-    }
-    for key, shape in shapes.items():
-        given = arrays[key].shape
-        if len(given) != len(shape) or any(want not in (-1, have) for want, have in zip(shape, given, strict=True)):
-            raise InputError(f"{path}: {key}: shape {given}; must be {str(shape).replace('-1', 'any')}")
-    faces, weights = arrays["f"].astype(np.intp), arrays["weights"].astype(np.float64)
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
-        raise InputError(f"{path}: f: must be triangles of the {vertices} vertices")
-    if weights.min() < -1e-6 or np.abs(weights.sum(axis=1) - 1).max() > ROW_SUM_TOLERANCE:
-        raise InputError(f"{path}: weights: must not be negative, and each row must sum to 1")
-    _check_tree(path, arrays["kintree_table"][0], family)
+        vertices, joints = len(arrays["v_template"]), arrays["weights"].shape[-1]
+        if joints not in FAMILIES:
+            known = ", ".join(f"{count} ({family.name})" for count, family in FAMILIES.items())
+            raise InputError(f"weights: {joints} joints; must be {known}")
+        family = FAMILIES[joints]
+        shapes = {
+            "v_template": (vertices, 3),
+            "shapedirs": (vertices, 3, -1),
+            "posedirs": (vertices, 3, 9 * (joints - 1)),
+            "J_regressor": (joints, vertices),
+            "weights": (vertices, joints),
+            "kintree_table": (2, joints),
+            "f": (-1, 3),
+        }
+        for key, shape in shapes.items():
+            given = arrays[key].shape
+            if len(given) != len(shape) or any(want not in (-1, have) for want, have in zip(shape, given, strict=True)):
+                raise InputError(f"{key}: shape {given}; must be {str(shape).replace('-1', 'any')}")
+        faces, weights = arrays["f"].astype(np.intp), arrays["weights"].astype(np.float64)
+        if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
+            raise InputError(f"f: must be triangles of the {vertices} vertices")
+        if weights.min() < -1e-6 or np.abs(weights.sum(axis=1) - 1).max() > ROW_SUM_TOLERANCE:
+            raise InputError("weights: must not be negative, and each row must sum to 1")
+        _check_tree(arrays["kintree_table"][0], family)
 
     shape_directions = arrays["shapedirs"].astype(np.float64)
     return SmplModel(
@@ -206,12 +207,12 @@ def read_smpl(path: Path) -> SmplModel:
     )
 
 
-def _check_tree(path: Path, parents: NDArray[Any], family: Family) -> None:
+def _check_tree(parents: NDArray[Any], family: Family) -> None:
     """Files keep the root's parent as -1 or as the largest unsigned integer, so that it is not looked at."""
     kept = _kept_joints(family)
     expected = [kept[parent] for parent in PARENTS[1:]]
     if parents[kept[1:]].tolist() != expected:
-        raise InputError(f"{path}: kintree_table: parents {parents[kept[1:]].tolist()}; {family.name}'s are {expected}")
+        raise InputError(f"kintree_table: parents {parents[kept[1:]].tolist()}; {family.name}'s are {expected}")
 
 
 def _kept_joints(family: Family) -> list[int]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 
 _ALLOWED = re.compile(
     r"""
@@ -83,21 +83,22 @@ def read_arrays(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
         InputError: the file cannot be read, is no dictionary, names any other class or function, or a value is none of
             these.
     """
-    try:
-        with path.open("rb") as file:
-            if file.read(4) == b"PK\x03\x04":
-                return _read_npz(path, keys)
-            file.seek(0)
-            values = _Reader(file).load()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except _DAMAGED:
-        raise InputError(f"{path}: neither an .npz nor a whole pickle") from None
-    if not isinstance(values, dict):
-        raise InputError(f"{path}: the pickle holds a {type(values).__name__}; it must be a dictionary of arrays")
-    return {key: _named(path, key, values[key]) for key in keys if key in values}
+    with about(path):
+        try:
+            with path.open("rb") as file:
+                if file.read(4) == b"PK\x03\x04":
+                    return _read_npz(path, keys)
+                file.seek(0)
+                values = _Reader(file).load()
+        except OSError as error:
+            raise InputError(f"cannot be read ({error.strerror or error})") from None
+        except InputError:
+            raise
+        except _DAMAGED:
+            raise InputError("neither an .npz nor a whole pickle") from None
+        if not isinstance(values, dict):
+            raise InputError(f"the pickle holds a {type(values).__name__}; it must be a dictionary of arrays")
+        return {key: _named(key, values[key]) for key in keys if key in values}
 
 
 def _read_npz(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
@@ -107,15 +108,14 @@ def _read_npz(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
         for key in keys:
             if f"{key}.npy" not in present:
                 continue
-            try:
-                with archive.open(f"{key}.npy") as member:
-                    arrays[key] = _read_npy(member)
-            except InputError as error:
-                raise InputError(f"{key}: {error}") from None
-            except (*_DAMAGED, OSError, RuntimeError) as error:
-                if isinstance(error, MemoryError):
+            with about(key):
+                try:
+                    with archive.open(f"{key}.npy") as member:
+                        arrays[key] = _read_npy(member)
+                except (InputError, MemoryError):
                     raise
-                raise InputError(f"{key}: not a whole array") from None
+                except (*_DAMAGED, OSError, RuntimeError):
+                    raise InputError("not a whole array") from None
     return arrays
 
 
@@ -129,13 +129,14 @@ def _read_npy(member: IO[bytes]) -> NDArray[Any]:
     return npy.read_array(member, allow_pickle=False)
 
 
-def _named(path: Path, key: str, value: Any) -> NDArray[Any]:
-    try:
-        return array_of(value)
-    except InputError as error:
-        raise InputError(f"{path}: {key}: {error}") from None
-    except _DAMAGED:
-        raise InputError(f"{path}: {key}: not a whole array") from None
+def _named(key: str, value: Any) -> NDArray[Any]:
+    with about(key):
+        try:
+            return array_of(value)
+        except InputError:
+            raise
+        except _DAMAGED:
+            raise InputError("not a whole array") from None
 
 
 def array_of(value: Any) -> NDArray[Any]:

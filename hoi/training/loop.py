@@ -1,13 +1,16 @@
-"""The loop of a training, whatever is trained: optimiser, moving average, schedule, checkpoints and log."""
+"""A training, whatever is trained: optimiser, moving average, schedule, checkpoints, log and report."""
 
 import argparse
 import json
 import math
+import platform
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +19,9 @@ from hoi.errors import InputError
 from hoi.files import whole_file
 from hoi.motion.mdm import MotionDenoiser
 from hoi.video_prior.denoiser import VideoDenoiser
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LOG_EVERY, TEST_EVERY = 50, 300
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
@@ -111,12 +117,8 @@ class Training(ABC, Generic[Denoiser]):
         self.generator.set_state(state["generator"])
         self.step, self.seconds = state["step"], state["seconds"]
 
-    def run(self) -> dict[str, Any]:
-        """Train to the end, from the checkpoint where the options say so; log and checkpoint on the way.
-
-        Returns:
-            The state at the end.
-        """
+    def run(self) -> None:
+        """Train to the end, from the checkpoint where the options say so; log and checkpoint on the way."""
         out = self.options.out
         out.mkdir(parents=True, exist_ok=True)
         if self.options.resume:
@@ -145,6 +147,41 @@ class Training(ABC, Generic[Denoiser]):
             if now - last_save > 60 * self.options.save_minutes:
                 save_checkpoint(out / CHECKPOINT, self.state())
                 last_save = now
-        state = self.state()
-        save_checkpoint(out / CHECKPOINT, state)
-        return state
+        save_checkpoint(out / CHECKPOINT, self.state())
+
+    def log(self) -> list[dict[str, float]]:
+        """Rows of step, minutes, loss, lr and tests. Steps that a resumed training repeated are counted once."""
+        rows = {row["step"]: row for row in map(json.loads, (self.options.out / LOG).read_text().splitlines())}
+        return [rows[step] for step in sorted(rows)]
+
+    def report(self, command: str, **facts: Any) -> None:
+        """Write training.json: what went in and came out, with `facts` that only the caller knows."""
+        log = self.log()
+        report = {
+            "steps": self.step,
+            "minutes": round(self.seconds / 60, 1),
+            "loss": {str(int(row["step"])): row["loss"] for row in log[-1 : -len(log) - 1 : -max(1, len(log) // 10)]},
+            "parameters": sum(value.numel() for value in self.average.state_dict().values()),
+            "architecture": asdict(self.average.architecture),
+            "versions": {"python": platform.python_version(), "torch": torch.__version__},
+            **facts,
+            "command": command,
+            "hardware": self.options.hardware or f"{self.options.threads} CPU threads",
+        }
+        (self.options.out / "training.json").write_text(json.dumps(report, indent=1) + "\n")
+
+
+@contextmanager
+def curves(folder: Path, rows: int, size: tuple[float, float]) -> Iterator[list["Axes"]]:
+    """Axes one above the other, over optimiser steps, whose picture of `size` [inch] then becomes curve.png."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
+    yield axes
+    axes[-1].set_xlabel("optimiser step")
+    for each in axes:
+        each.grid(True, which="both", alpha=0.3)
+    figure.savefig(folder / "curve.png", dpi=110)

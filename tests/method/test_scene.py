@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from hoi.method.scene import build_scene, load_body, load_object
 from omegaconf import OmegaConf
 from scipy.spatial.transform import Rotation
 
 from hoi.config import CONF, MaterialConf
 from hoi.config.validate import to_config
 from hoi.errors import InputError
-from hoi.method.scene import build_scene, load_object
 from hoi.plan import make_plan, materials_of
 
 COARSE = ["stage/object=mpm_coarse", "object.max_gaussians=500", "human.gaussians=1000"]
@@ -28,6 +28,12 @@ def load(composed):
 
 def lower_half(material: str) -> str:
     return f"object.regions=[{{box:{{centre:[0,0,-0.25],half_size:[0.6,0.6,0.25]}},material:{material}}}]"
+
+
+def test_clothes_that_are_not_there_are_named_by_their_key(composed):
+    config = to_config(composed("human=smpl", "human.path=nobody.npz", "human.person=king"))
+    with pytest.raises(InputError, match=r"^human\.person='king': no such outfit"):
+        load_body(config.human, 0)
 
 
 # --- planes ----------------------------------------------------------------------------------------------------------

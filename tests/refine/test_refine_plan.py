@@ -68,10 +68,13 @@ def test_the_papers_stage_3(composed):
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["stage.refine.checkpoint=nowhere.safetensors"], ["embedded video prior", "nowhere.safetensors", "null"]),
+        (
+            ["stage.refine.checkpoint=nowhere.safetensors"],
+            ["stage.refine.checkpoint: no embedded video prior", "nowhere.safetensors; stage.refine.checkpoint=null"],
+        ),
         (
             ["stage/refine=cogvideox", "stage.refine.checkpoint=nobody/nothing"],
-            ["CogVideoX-5B", "nobody/nothing", "21 GB", "T5 9.5", "stage/refine=geometric"],
+            ["stage.refine.checkpoint: no CogVideoX-5B", "nobody/nothing", "21 GB", "T5 9.5", "stage/refine=geometric"],
         ),
         (
             ["stage/refine=cogvideox", "stage.refine.checkpoint=not/a/hub/name"],
@@ -104,7 +107,9 @@ def test_half_a_cogvideox_is_none(plan, tmp_path, monkeypatch):
     for part in COGVIDEOX_PARTS[-2:]:
         (tmp_path / part).mkdir()
     monkeypatch.setattr("hoi.video_prior.files.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"needs diffusers: pip install 'hoi\[video\]'"):
+    with pytest.raises(
+        InputError, match=r"^stage\.refine\.prior=cogvideox needs diffusers: pip install 'hoi\[video\]'"
+    ):
         plan(*overrides)
 
 

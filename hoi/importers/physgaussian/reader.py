@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 
 MATERIALS = ("jelly", "metal", "sand", "foam", "snow", "plasticine")
 DREAMPHYSICS_E = 1e7
@@ -119,18 +119,16 @@ def read_scene_file(path: Path, dialect: str | None = None) -> SceneFile:
     Raises:
         InputError: not JSON, or a value of the wrong kind; names the key.
     """
-    try:
-        values = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a JSON file") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not a JSON file: line {error.lineno}: {error.msg}") from None
-    try:
+    with about(path):
+        try:
+            values = json.loads(path.read_text())
+        except OSError as error:
+            raise InputError(error.strerror) from None
+        except UnicodeDecodeError:
+            raise InputError("not a JSON file") from None
+        except json.JSONDecodeError as error:
+            raise InputError(f"not a JSON file: line {error.lineno}: {error.msg}") from None
         return _scene_file(path, values, dialect)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _scene_file(path: Path, values: Any, dialect: str | None) -> SceneFile:
@@ -140,14 +138,14 @@ def _scene_file(path: Path, values: Any, dialect: str | None) -> SceneFile:
     numbers = {key: _number(values, key, default) for key, default in NUMBERS.items()}
     for key in POSITIVE:
         if not numbers[key] > 0:
-            raise InputError(f"{key} must be greater than 0, got {numbers[key]:g}")
+            raise InputError(key, f"{numbers[key]:g}", "greater than 0")
     for key in WHOLE:
         if numbers[key] != int(numbers[key]):
-            raise InputError(f"{key} must be a whole number, got {numbers[key]:g}")
+            raise InputError(key, f"{numbers[key]:g}", "a whole number")
         numbers[key] = int(numbers[key])
     material = values.get("material", "jelly")
     if material not in MATERIALS:
-        raise InputError(f"material must be one of {', '.join(MATERIALS)}, got {material!r}")
+        raise InputError("material", repr(material), f"one of {', '.join(MATERIALS)}")
     if "g" not in values:
         remarks.append("g: not given, taken as [0, 0, -9.8]")
     angles, axes = (_list(values, key, []) for key in ("rotation_degree", "rotation_axis"))
@@ -190,11 +188,11 @@ def _conditions(values: dict[str, Any], remarks: list[str]) -> list[dict[str, An
         where = f"boundary_conditions.{index}"
         kind = condition.get("type")
         if kind not in CONDITIONS:
-            raise InputError(f"{where}.type must be one of {', '.join(CONDITIONS)}, got {kind!r}")
+            raise InputError(f"{where}.type", repr(kind), f"one of {', '.join(CONDITIONS)}")
         needed, optional = CONDITIONS[kind]
         rest = {key: value for key, value in condition.items() if key != "type"}
         if kind == "surface_collider" and (surface := rest.pop("surface", None)) not in SURFACES:
-            raise InputError(f"{where}.surface must be one of {', '.join(SURFACES)}, got {surface!r}")
+            raise InputError(f"{where}.surface", repr(surface), f"one of {', '.join(SURFACES)}")
         needed = tuple(key for key in needed if key != "surface")
         defaults = {key: CONDITION_DEFAULTS[key] for key in optional}
         entry = {"type": kind, **defaults, **_entry(rest, where, needed, optional, remarks)}
@@ -203,7 +201,7 @@ def _conditions(values: dict[str, Any], remarks: list[str]) -> list[dict[str, An
             if not any(entry["normal"]):
                 raise InputError(f"{where}.normal must not be zero")
             if entry["friction"] < 0:
-                raise InputError(f"{where}.friction must be 0 or more, got {entry['friction']:g}")
+                raise InputError(f"{where}.friction", f"{entry['friction']:g}", "0 or more")
         checked.append(entry)
     return checked
 
@@ -241,7 +239,7 @@ def _entry(
 def _objects(values: dict[str, Any], key: str) -> list[dict[str, Any]]:
     found = values.get(key, [])
     if not (isinstance(found, list) and all(isinstance(entry, dict) for entry in found)):
-        raise InputError(f"{key} must be a list of JSON objects, got {found!r:.60}")
+        raise _wrong("", key, "a list of JSON objects", found)
     return found
 
 
@@ -252,22 +250,24 @@ def _is_number(value: Any) -> bool:
 def _number(values: Mapping[str, Any], key: str, default: float | None, where: str = "") -> Any:
     value = values.get(key, default)
     if not (_is_number(value) or (value is None and key not in values)):
-        raise InputError(f"{where}{'.' if where else ''}{key} must be a number, got {value!r:.60}")
+        raise _wrong(where, key, "a number", value)
     return value
 
 
-def _list(values: Mapping[str, Any], key: str, default: list[float], where: str = "") -> list[float]:
+def _list(values: Mapping[str, Any], key: str, default: list[float], where: str = "", count: int | None = None) -> Any:
     value = values.get(key, default)
-    if not (isinstance(value, list) and all(_is_number(entry) for entry in value)):
-        raise InputError(f"{where}{'.' if where else ''}{key} must be a list of numbers, got {value!r:.60}")
+    if not (isinstance(value, list) and all(map(_is_number, value)) and count in (None, len(value))):
+        raise _wrong(where, key, f"a list of {'' if count is None else f'{count} '}numbers", value)
     return value
 
 
 def _vector(values: Mapping[str, Any], key: str, default: list[float], where: str = "") -> Vector:
-    value = values.get(key, default)
-    if not (isinstance(value, list) and len(value) == 3 and all(_is_number(entry) for entry in value)):
-        raise InputError(f"{where}{'.' if where else ''}{key} must be a list of 3 numbers, got {value!r:.60}")
-    return float(value[0]), float(value[1]), float(value[2])
+    x, y, z = _list(values, key, default, where, 3)
+    return float(x), float(y), float(z)
+
+
+def _wrong(where: str, key: str, rule: str, value: Any) -> InputError:
+    return InputError(f"{where}.{key}" if where else key, f"{value!r:.60}", rule)
 
 
 def _unknown(values: Mapping[str, Any], known: Sequence[str], where: str) -> list[str]:

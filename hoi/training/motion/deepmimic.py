@@ -8,7 +8,6 @@ person rests with hanging arms.
 
 import json
 import math
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,9 @@ from torch import Tensor
 
 from hoi.body.kinematics import forward_kinematics
 from hoi.data import Array
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.motion.features import towards_plus_y
+from hoi.motion.text import package_folder
 from hoi.training.motion.dataset import FPS, Clip, rest_joints_of
 
 PACKAGE = "pybullet"
@@ -67,14 +67,8 @@ def clip_folder() -> Path:
     Raises:
         InputError: the package is not installed, or ships no clip.
     """
-    try:
-        files = metadata.distribution(PACKAGE).files or []
-    except metadata.PackageNotFoundError:
-        raise InputError(f"--pybullet: the package {PACKAGE} is not installed; pip install it") from None
-    for file in files:
-        if file.name == "humanoid3d_kick.txt":
-            return Path(str(file.locate())).parent
-    raise InputError(f"--pybullet: the package {PACKAGE} holds no humanoid3d_kick.txt")
+    with about("--pybullet"):
+        return package_folder(PACKAGE, "humanoid3d_kick.txt")
 
 
 def _rotations(frames: Tensor, column: int) -> Tensor:

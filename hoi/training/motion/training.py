@@ -1,6 +1,7 @@
-"""The training of a motion prior, of which `hoi.training.motion.train` is the command: data, optimiser, checkpoints."""
+"""The training of a motion prior, of which `.train` is the command: data, batches, loss, what is left behind."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ from torch import Tensor
 from hoi.errors import InputError
 from hoi.motion.diffusion import cosine_alphas_cumprod, q_sample
 from hoi.motion.mdm import Architecture, MotionDenoiser
-from hoi.motion.text import file_sha256, minilm
+from hoi.motion.prior import DENOISER_PREFIX, STATISTICS, write_prior
+from hoi.motion.text import MINILM_PACKAGE, MINILM_SHA256, file_sha256, minilm
 from hoi.training import loop
 from hoi.training.motion import deepmimic
 from hoi.training.motion.dataset import (
     FPS,
     HELD_OUT,
+    Clip,
     TrainingSet,
     build_training_set,
     is_held_out,
@@ -25,7 +28,6 @@ from hoi.training.motion.dataset import (
     with_knee_strikes,
 )
 from hoi.training.motion.losses import MotionLoss
-from hoi.training.motion.publish import publish
 
 STD_FLOOR = 0.005
 """Features that hardly vary (wrists, the hips' offset) are not blown up to unit variance [m or -]."""
@@ -108,6 +110,27 @@ class Training(loop.Training[MotionDenoiser]):
         self.standardise(state["mean"], state["std"], state["text_mean"], state["text_std"])
         torch.set_rng_state(state["dropout_generator"])
 
+    def publish(self, facts: dict[str, Any], command: str) -> None:
+        """Write prior.safetensors and prior.json (of the moving average), training.json and curve.png."""
+        out = self.options.out
+        tensors = {DENOISER_PREFIX + name: value for name, value in self.average.state_dict().items()}
+        tensors |= dict(zip(STATISTICS, (self.mean, self.std, self.text_mean, self.text_std), strict=True))
+        description = {
+            "source": f"embedded prior, {self.step} steps",
+            "features": "smplrifke",
+            "architecture": asdict(self.average.architecture),
+            "timesteps": self.options.timesteps,
+            "fps": FPS,
+            "text_encoder": {"name": "all-MiniLM-L6-v2", "package": MINILM_PACKAGE, "sha256": MINILM_SHA256},
+            "rest_joints": [[round(value, 6) for value in row] for row in self.data.rest_joints.tolist()],
+        }
+        write_prior(out, tensors, description)
+        self.report(command, **facts)
+        log = self.log()
+        with loop.curves(out, 1, (6, 3.5)) as (axes,):
+            axes.semilogy([row["step"] for row in log], [row["loss"] for row in log], linewidth=1)
+            axes.set(ylabel="MSE of the normalised $x_0$", title="training loss")
+
 
 def clip_files(folder: Path) -> list[Path]:
     """The clip files of --data.
@@ -121,6 +144,12 @@ def clip_files(folder: Path) -> list[Path]:
     return files
 
 
+def split(clips: list[Clip], rest_joints: Tensor) -> tuple[list[Clip], list[Clip]]:
+    """What priors are trained on, with knee strikes, and what is held out."""
+    clips = with_knee_strikes(clips, rest_joints)
+    return [clip for clip in clips if not is_held_out(clip)], [clip for clip in clips if is_held_out(clip)]
+
+
 def read_split(folder: Path) -> tuple[TrainingSet, TrainingSet]:
     """What priors are trained on and what is held out, of a folder of clip files.
 
@@ -128,18 +157,15 @@ def read_split(folder: Path) -> tuple[TrainingSet, TrainingSet]:
         InputError: there is no clip file, or all or none of the clips is held out.
     """
     rest_joints, sentences = rest_joints_of(deepmimic.OFFSETS), read_captions(folder)
-    clips = with_knee_strikes([clip for file in clip_files(folder) for clip in read_clips(file)], rest_joints)
-    parts = [[clip for clip in clips if is_held_out(clip) is held_out] for held_out in (False, True)]
+    parts = split([clip for file in clip_files(folder) for clip in read_clips(file)], rest_joints)
     training, held_out = (build_training_set(part, rest_joints, sentences) for part in parts)
     return training, held_out
 
 
 def read_data(options: argparse.Namespace) -> tuple[TrainingSet, dict[str, Any]]:
     """The training set that the command line asks for, and what to say about it in training.json."""
-    clips, files = [], []
-    if options.data:
-        files = clip_files(options.data)
-        clips += [clip for file in files for clip in read_clips(file)]
+    files = clip_files(options.data) if options.data else []
+    clips = [clip for file in files for clip in read_clips(file)]
     if options.pybullet:
         folder = deepmimic.clip_folder()
         clips += deepmimic.read_clips(folder)
@@ -147,12 +173,11 @@ def read_data(options: argparse.Namespace) -> tuple[TrainingSet, dict[str, Any]]
     if not clips:
         raise InputError("--data, --pybullet: give at least one of them")
     rest_joints = rest_joints_of(deepmimic.OFFSETS)
-    clips = with_knee_strikes(clips, rest_joints)
-    training = [clip for clip in clips if not is_held_out(clip)]
+    training, held_out = split(clips, rest_joints)
     data = build_training_set(training, rest_joints, read_captions(options.data))
     return data, {
         "clips": len(training),
-        "held_out": {"clips": len(clips) - len(training), "names_begin_with": HELD_OUT},
+        "held_out": {"clips": len(held_out), "names_begin_with": HELD_OUT},
         "windows": data.summary,
         "data": {file.name: file_sha256(file) for file in files},
     }
@@ -166,4 +191,6 @@ def train(options: argparse.Namespace, command: str) -> None:
     """
     loop.begin(options)
     data, facts = read_data(options)
-    publish(Training(data, options).run(), facts, options, command)
+    training = Training(data, options)
+    training.run()
+    training.publish(facts, command)

@@ -55,21 +55,13 @@ assert {"clean", *FLAWS, "flawed"} == set(SENTENCES)
 
 def captions(limb: int, shape: int, person: int, said: str) -> list[str]:
     """All sentences under a key of `SENTENCES`, for numbers as in `hoi.training.video.clips.Clips`."""
-    name, short = LIMBS[limb].name, SHORT[list(OBJECT_SHARES)[shape]]
-    part, thing = name.split()[-1], list(OBJECT_SHARES)[shape].replace("_", " ")
-    touch = "touch" if part == "hands" else "touches"
+    name, shape_name = LIMBS[limb].name, list(OBJECT_SHARES)[shape]
+    part = name.split()[-1]
+    words = {"part": part, "short": SHORT[shape_name], "thing": shape_name.replace("_", " ")}
+    words["touch"] = "touch" if part == "hands" else "touches"
     found = []
     for who, their in (WHO[PEOPLE[person]], ANYONE):
         own = "both hands" if part == "hands" else f"{their} {name}"
         for verb in VERBS[part]:
-            words = {
-                "who": who,
-                "verb": verb,
-                "limb": own,
-                "part": part,
-                "touch": touch,
-                "short": short,
-                "thing": thing,
-            }
-            found += [sentence.format(**words) for sentence in SENTENCES[said]]
+            found += [sentence.format(who=who, verb=verb, limb=own, **words) for sentence in SENTENCES[said]]
     return [sentence[0].upper() + sentence[1:] for sentence in dict.fromkeys(found)]

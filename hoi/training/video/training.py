@@ -1,21 +1,24 @@
-"""The training of the video prior, of which `.train` is the command: clips, optimiser, checkpoints."""
+"""The training of the video prior, of which `.train` is the command: batches, loss, what is left behind."""
 
 import argparse
+from collections import Counter
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from hoi.errors import InputError
 from hoi.method.video_sds import predict_z
-from hoi.motion.text import minilm
+from hoi.motion.text import MINILM_SHA256, minilm
 from hoi.training import loop
+from hoi.training.video import contacts
 from hoi.training.video.captions import FLAWED_SHARE, SENTENCES, captions
 from hoi.training.video.clips import Clips, provide_clips
 from hoi.training.video.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
-from hoi.training.video.publish import publish
 from hoi.video_prior.denoiser import TIMESTEPS, Architecture, VideoDenoiser, alphas_cumprod
-from hoi.video_prior.embedded import to_latents
+from hoi.video_prior.embedded import CROP, Description, save_embedded, to_latents
+from hoi.video_prior.files import VIDEO_PRIOR_NAME
 
 MIRRORED_LIMBS = (1, 0, 3, 2, 5, 4, 6)
 """Of `LIMBS`, as a clip shows them in a mirror."""
@@ -36,12 +39,9 @@ class Words:
     def __init__(self) -> None:
         rows: dict[str, int] = {"": 0}
         self.choices: dict[tuple[int, int, int, int], list[int]] = {}
-        for limb in range(len(LIMBS)):
-            for shape in range(len(OBJECT_SHARES)):
-                for person in range(len(PEOPLE)):
-                    for said, key in enumerate(SAID):
-                        found = captions(limb, shape, person, key)
-                        self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
+        for limb, shape, person, said in np.ndindex(len(LIMBS), len(OBJECT_SHARES), len(PEOPLE), len(SAID)):
+            found = captions(limb, shape, person, SAID[said])
+            self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
         self.raw = minilm().embed(list(rows))
         self.normalise(self.raw.mean(0), self.raw.std(0))
 
@@ -180,6 +180,48 @@ class Training(loop.Training[VideoDenoiser]):
         super().restore(state)
         self.words.normalise(state["text_mean"], state["text_std"])
 
+    def publish(self, command: str) -> None:
+        """Write video_prior.safetensors (of the moving average), training.json and curve.png."""
+        out, description = self.options.out, Description(self.architecture, self.step, MINILM_SHA256)
+        text = self.words.mean, self.words.std
+        save_embedded(out / VIDEO_PRIOR_NAME, self.average.state_dict(), text, description)
+        log, made = self.log(), recipe(self.clips, len(self.held_out))
+        tested = [row for row in log if "held_out" in row]
+        self.report(command, tests=tested[-1] if tested else {}, clips=made)
+        with loop.curves(out, 2, (7, 5)) as (upper, lower):
+            steps = [row["step"] for row in tested]
+            upper.semilogy([row["step"] for row in log], [row["loss"] for row in log], linewidth=1, label="training")
+            upper.semilogy(steps, [row["held_out"] for row in tested], label="held-out clips")
+            upper.set(ylabel="MSE of v", title="the embedded video prior")
+            upper.legend()
+            for said in ("clean", "flawed"):
+                lower.plot(steps, [row[f"mended_{said}"] for row in tested], label=f"called {said}")
+            lower.set(ylabel="share of a flaw mended [-]")
+            lower.legend()
+
+
+def recipe(clips: Clips, held_out: int) -> dict[str, Any]:
+    """What was drawn, and how often."""
+
+    def count(numbers: np.ndarray, names: list[str]) -> dict[str, int]:
+        return {names[number]: found for number, found in sorted(Counter(numbers.tolist()).items())}
+
+    flaws = {
+        flaw: [round(float(value), 4) for value in np.percentile(np.abs(clips.amount[:, index]), (5, 50, 95))]
+        for index, flaw in enumerate(FLAWS)
+    }
+    return {
+        "views": len(clips),
+        "held_out": held_out,
+        "depth_or_gap_5_50_95_percent": flaws,
+        "limbs": count(clips.limb, [limb.name for limb in LIMBS]),
+        "objects": count(clips.shape, list(OBJECT_SHARES)),
+        "people": count(clips.person, list(PEOPLE)),
+        "half_of_picture": CROP,
+        "person_gaussians": contacts.PERSON_GAUSSIANS,
+        "motions": "drawn from the motion prior in the package",
+    }
+
 
 def train(options: argparse.Namespace, command: str) -> None:
     """The whole of it: clips, training, publication.
@@ -195,4 +237,5 @@ def train(options: argparse.Namespace, command: str) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     clips = provide_clips(options.out, options.clips, options.seed)
     training = Training(clips, options)
-    publish(training.run(), clips, len(training.held_out), options, command)
+    training.run()
+    training.publish(command)
