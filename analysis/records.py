@@ -3,29 +3,53 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from hoi import record
-from hoi.data import Array, Run
+from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run, Scene
 from hoi.errors import InputError
 from hoi.record.checks import Refused, check_finite
 
 from .posing import joint_frames, posed_means
 
 DONE, FAILED = "run.mcap", "run.failed.mcap"
+T = TypeVar("T")
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class Undefined(Exception):
+    """The run lacks what was asked for."""
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One run, as its file has it. What takes time is worked out when it is first asked for."""
+    """One run, as its file has it. What takes time is worked out when it is first asked for.
+
+    `scene`, `motion`, `trajectory`, and `push`, the contact that gave an impulse, are `Undefined` where it has none.
+    """
 
     path: Path
     run: Run
+
+    @property
+    def scene(self) -> Scene:
+        return _defined(self.run.scene)
+
+    @property
+    def motion(self) -> Motion:
+        return _defined(self.run.state.motion)
+
+    @property
+    def trajectory(self) -> ObjectTrajectory:
+        return _defined(self.run.state.trajectory)
+
+    @property
+    def push(self) -> Contact:
+        return _defined(self.run.state.contact and self.run.state.contact.push)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -88,6 +112,12 @@ class Record:
         if run.scene is None or run.state.motion is None:
             return None
         return run.scene.body.dominant_joints
+
+
+def _defined(value: T | None) -> T:
+    if value is None:
+        raise Undefined
+    return value
 
 
 def find(folder: Path) -> list[Path]:

@@ -128,7 +128,7 @@ def _row(folder: Path, path: Path) -> dict[str, object]:
         if facts.get("status") != DONE:
             return row | {"status": FAILED, "reason": facts.get("outcome", "")}
         record = load(path)
-        row |= {key: metric.function(record) for key, metric in METRICS.items()}
+        row |= {key: metric(record) for key, metric in METRICS.items()}
     except InputError as error:
         return _unreadable(row["path"], _told(error, folder))
     except Exception as error:  # a file that passes every check and still trips a metric must not take the table along

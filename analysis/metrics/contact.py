@@ -10,7 +10,7 @@ from hoi.data import Array, Contact
 from hoi.refine.fidelity import object_at
 
 from ..posing import interpolate
-from ..records import Record
+from ..records import Record, Undefined
 from .meeting import Meeting, Shape, d_contact, meeting
 from .metric import NAN
 
@@ -72,24 +72,19 @@ def touching_fraction(record: Record) -> float:
 
 def timing_error(record: Record) -> float:
     """|t_c - t*|: how far the contact is from the time at which the attraction wants it."""
-    push, target, scene = push_of(record), record.run.state.target, record.run.scene
-    if push is None or target is None or scene is None:
-        return NAN
-    return abs(push.frame - target.frame) / scene.fps
+    target = record.run.state.target
+    return NAN if target is None else abs(record.push.frame - target.frame) / record.scene.fps
 
 
 def closing_speed(record: Record) -> float:
     """v_in = (V_human - V_obj) . n at contact."""
-    push = push_of(record)
-    return NAN if push is None else push.v_in
+    return record.push.v_in
 
 
 def formula_error(record: Record) -> float:
     """Deviation of the recorded V_post from V_obj + (1 + e) v_in n, worked out again from the recorded V_human, V_obj,
     n and the material's restitution, relative to it (paper, Contact Detection and Re-simulation)."""
-    push, scene = push_of(record), record.run.scene
-    if push is None or scene is None:
-        return NAN
+    push, scene = record.push, record.scene
     v_in = float((push.v_human - push.v_object) @ push.normal)
     expected = push.v_object + (1 + scene.thing.material.restitution) * max(v_in, 0.0) * push.normal
     size = float(np.linalg.norm(expected))
@@ -107,14 +102,11 @@ def post_impact_error(record: Record) -> float:
 def momentum_error(record: Record) -> float:
     """Momentum that the contact gave the object against what the object has more, from the last whole frame before the
     push to the first after it, gravity taken off: |given - taken| / |given|. Ground and friction take their share."""
-    push, scene, trajectory = push_of(record), record.run.scene, record.run.state.trajectory
-    around = frames_around(record)
-    if push is None or scene is None or trajectory is None or around is None:
-        return NAN
-    given, (before, after) = float(np.linalg.norm(push.impulse)), around
+    push, scene, (before, after) = record.push, record.scene, frames_around(record)
+    given = float(np.linalg.norm(push.impulse))
     if given == 0:
         return NAN
-    velocity, weight = trajectory.com_velocity, scene.gravity * (after - before) / scene.fps
+    velocity, weight = record.trajectory.com_velocity, scene.gravity * (after - before) / scene.fps
     taken = float(scene.thing.masses.sum()) * (velocity[after] - velocity[before] - weight)
     return float(np.linalg.norm(push.impulse - taken)) / given
 
@@ -131,13 +123,16 @@ def push_span(record: Record) -> tuple[float, float] | None:
     return push.frame, push.frame + push.duration * scene.fps
 
 
-def frames_around(record: Record) -> tuple[int, int] | None:
-    """The last whole frame before the push and the first after it; None without a push, or when the run ends before."""
-    span, trajectory = push_span(record), record.run.state.trajectory
-    if span is None or trajectory is None:
-        return None
+def frames_around(record: Record) -> tuple[int, int]:
+    """The last whole frame before the push and the first after it; undefined without a push, or when the run ends
+    before."""
+    span = push_span(record)
+    if span is None:
+        raise Undefined
     before, after = max(math.ceil(span[0]) - 1, 0), math.ceil(span[1])
-    return None if after >= len(trajectory.com) or after <= before else (before, after)
+    if after >= len(record.trajectory.com) or after <= before:
+        raise Undefined
+    return before, after
 
 
 def first_touch(record: Record) -> tuple[float, Meeting | None]:

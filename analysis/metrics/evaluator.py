@@ -21,7 +21,7 @@ from hoi.data import Array
 from hoi.errors import InputError
 
 from ..posing import local_rotations
-from ..records import Record
+from ..records import Record, Undefined
 from .features import encode
 from .metric import NAN
 
@@ -83,28 +83,23 @@ def judge() -> Judge:
 def naturalness(record: Record) -> float:
     """Distance of the motion's embedding to that of the nearest of 1024 real motions, by the package's evaluator: 0 to
     2, lower is more natural. At its frame rate, 20, alone."""
-    embedding = _motion_embedding(record)
-    return NAN if embedding is None else judge().strangeness(embedding)
+    return judge().strangeness(_motion_embedding(record))
 
 
 def text_alignment(record: Record) -> float:
     """Cosine of the motion's and the motion prompt's embedding by the package's evaluator, -1 to 1. At its frame rate,
     20, alone."""
-    embedding, scene = _motion_embedding(record), record.run.scene
-    if embedding is None or scene is None:
-        return NAN
-    sentence = sentence_embedding(scene.motion_prompt)
+    embedding, sentence = _motion_embedding(record), sentence_embedding(record.scene.motion_prompt)
     return NAN if sentence is None else float(judge().embed_text(sentence) @ embedding)
 
 
 @lru_cache(maxsize=2)
-def _motion_embedding(record: Record) -> Array | None:
-    run, known = record.run, judge()
-    scene, motion = run.scene, run.state.motion
-    if scene is None or motion is None or len(motion) < 3 or abs(motion.fps - known.fps) > 1e-6:
-        return None
+def _motion_embedding(record: Record) -> Array:
+    known, body, motion = judge(), record.scene.body, record.motion
+    if len(motion) < 3 or abs(motion.fps - known.fps) > 1e-6:
+        raise Undefined
     # The judge knows one skeleton, people come in sizes.
-    ratio = leg_length(known.rest_joints) / leg_length(scene.body.rest_joints)
+    ratio = leg_length(known.rest_joints) / leg_length(body.rest_joints)
     translation = np.asarray(motion.translation, np.float64) * ratio
     return known.embed_motion(encode(local_rotations(motion), translation, known.rest_joints))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from hoi.data import Array
 
-from ..records import Record
+from ..records import Record, Undefined
 from .contact import first_touch, frames_around, push_of, push_span
 from .metric import NAN
 from .penetration import height_above
@@ -30,37 +30,28 @@ def ghosting(record: Record) -> float:
     """How far the object strays before the first touch (in all of the run where nothing touches it) from the motion
     that its initial velocity, gravity and what it lies on allow. The ground may stop, hold, slow or throw back what
     comes near it, but adds no speed."""
-    strayed = _strayed(record)
-    return NAN if strayed is None else float(np.linalg.norm(strayed[1], axis=1).max(initial=0.0))
+    return float(np.linalg.norm(_strayed(record)[1], axis=1).max(initial=0.0))
 
 
 def causality_error(record: Record) -> float:
     """Effect without cause plus cause without effect: the largest speed that the object gets before anything touches it
     and that neither gravity nor ground explains; and v_in of the first touch in which a limb comes nearer, where the
     object's velocity answers it, within two frames, by less than 2% of v_in."""
-    strayed = _strayed(record)
-    if strayed is None:
-        return NAN
-    return float(np.linalg.norm(strayed[0], axis=1).max(initial=0.0)) + _missing_effect(record)
+    return float(np.linalg.norm(_strayed(record)[0], axis=1).max(initial=0.0)) + _missing_effect(record)
 
 
 def energy_gain(record: Record) -> float:
     """Energy of the object (kinetic, elastic and potential) that no push gave it, relative to its largest kinetic
     energy: what it has more right after an impulse than that gave, and the largest rise after the last push. Of a limb
     that pushes for a while the work is not recorded, and only the rise after it counts."""
-    run, push = record.run, push_of(record)
-    if run.scene is None or run.state.trajectory is None:
-        return NAN
-    total, kinetic = run.state.trajectory.energy.sum(axis=1), run.state.trajectory.energy[:, 0]
+    push, scene, energy = push_of(record), record.scene, record.trajectory.energy
+    total, kinetic = energy.sum(axis=1), energy[:, 0]
     largest = float(kinetic.max(initial=0.0))
     start, gained = 0, 0.0
     if push is not None:
-        around = frames_around(record)
-        if around is None:
-            return NAN
-        before, start = around
+        before, start = frames_around(record)
         if push.duration == 0:
-            mass = float(run.scene.thing.masses.sum())
+            mass = float(scene.thing.masses.sum())
             work = 0.5 * mass * float(push.v_post @ push.v_post - push.v_object @ push.v_object)
             gained = max(0.0, float(total[start] - total[before]) - work)
     after = total[start:]
@@ -73,28 +64,22 @@ def energy_gain(record: Record) -> float:
 def ballistic_residual(record: Record) -> float:
     """Root mean square distance of the centre of mass from the parabola x0 + v0 t + g t^2 / 2 fitted to it, over each
     stretch of four or more frames in which neither ground, wall nor person is near; g is the scene's."""
-    scene, trajectory = record.run.scene, record.run.state.trajectory
-    flights = _flights(record)
-    if scene is None or trajectory is None or not flights:
-        return NAN
+    scene, trajectory = record.scene, record.trajectory
     squares, frames = 0.0, 0
-    for first, last in flights:
+    for first, last in _flights(record):
         time = np.arange(last - first + 1) / scene.fps
         path = trajectory.com[first : last + 1].astype(np.float64) - 0.5 * scene.gravity * time[:, None] ** 2
         basis = np.stack([np.ones_like(time), time], axis=1)
         fitted = basis @ np.linalg.lstsq(basis, path, rcond=None)[0]
         squares += float(((path - fitted) ** 2).sum())
         frames += len(time)
-    return float(np.sqrt(squares / frames))
+    return float(np.sqrt(squares / frames)) if frames else NAN
 
 
 def bend(record: Record) -> float:
     """How far the path of the centre of mass after contact leaves the straight line between its ends, relative to the
     line's length: 0 is a straight path, which the constant velocity of w/o MPM gives."""
-    around, trajectory = frames_around(record), record.run.state.trajectory
-    if around is None or trajectory is None:
-        return NAN
-    path = trajectory.com[around[1] :].astype(np.float64)
+    path = record.trajectory.com[frames_around(record)[1] :].astype(np.float64)
     chord = path[-1] - path[0]
     length = float(np.linalg.norm(chord))
     if length < STILL:
@@ -107,12 +92,9 @@ def bend(record: Record) -> float:
 def deformation(record: Record) -> float:
     """Largest |principal stretch - 1| of the deformation gradient that one particle in a hundred exceeds, in the three
     whole frames after t_c. 0 where the mover knows no deformation (w/o MPM)."""
-    push, trajectory = push_of(record), record.run.state.trajectory
-    if push is None or trajectory is None:
-        return NAN
+    first, trajectory = int(np.ceil(record.push.frame)), record.trajectory
     if trajectory.deformation_gradient is None:
         return 0.0
-    first = int(np.ceil(push.frame))
     stride = -(-trajectory.deformation_gradient.shape[1] // LOOKED_AT)
     gradients = trajectory.deformation_gradient[first : first + AFTER, ::stride].astype(np.float64)
     if not gradients.size:
@@ -124,24 +106,22 @@ def deformation(record: Record) -> float:
 
 def object_path(record: Record) -> float:
     """Length of the path of the object's centre of mass."""
-    trajectory = record.run.state.trajectory
-    return NAN if trajectory is None else float(np.linalg.norm(np.diff(trajectory.com, axis=0), axis=1).sum())
+    return float(np.linalg.norm(np.diff(record.trajectory.com, axis=0), axis=1).sum())
 
 
 @lru_cache(maxsize=2)
 def _heights(record: Record) -> tuple[Array, ...]:
     """The object's lowest point over each plane [m], (T,) each."""
-    scene, trajectory = record.run.scene, record.run.state.trajectory
-    assert scene is not None and trajectory is not None
-    return tuple(height_above(plane, trajectory.positions).min(axis=1).astype(np.float64) for plane in scene.planes)
+    positions = record.trajectory.positions
+    return tuple(height_above(plane, positions).min(axis=1).astype(np.float64) for plane in record.scene.planes)
 
 
 @lru_cache(maxsize=2)
-def _strayed(record: Record) -> tuple[Array, Array] | None:
+def _strayed(record: Record) -> tuple[Array, Array]:
     """Velocity [m/s] and way [m] that nothing explains, (K, 3) each, at the frames before the first touch."""
-    scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not len(scene.thing.particles) or len(trajectory.com) < 2:
-        return None
+    scene, trajectory = record.scene, record.trajectory
+    if not len(scene.thing.particles) or len(trajectory.com) < 2:
+        raise Undefined
     touch = first_touch(record)[0]
     path, dt = trajectory.com.astype(np.float64), 1 / scene.fps
     last = len(path) - 1 if touch == float("inf") else min(int(touch), len(path) - 1)
@@ -186,9 +166,8 @@ def _unexplained(change: Array, coming: Array, normal: Array, fastest: float) ->
 
 def _missing_effect(record: Record) -> float:
     """v_in of the first touch in which a limb comes nearer, where the object does not answer it; else 0 [m/s]."""
-    run, joints, (_, met) = record.run, record.joints, first_touch(record)
-    scene, trajectory = run.scene, run.state.trajectory
-    if scene is None or trajectory is None or joints is None or met is None or push_of(record) is not None:
+    scene, trajectory, joints, (_, met) = record.scene, record.trajectory, record.joints, first_touch(record)
+    if joints is None or met is None or push_of(record) is not None:
         return 0.0  # a push has its effect by definition; how much of it is what `momentum_error` says
     frames = min(len(joints), len(trajectory.com))
     for frame, joint in zip(met.frames[met.touching], met.joint[met.touching], strict=True):
@@ -210,8 +189,8 @@ def _missing_effect(record: Record) -> float:
 
 def _flights(record: Record) -> list[tuple[int, int]]:
     """First and last frames of the stretches in which nothing but gravity can move the object."""
-    scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not len(scene.thing.particles):
+    scene, trajectory = record.scene, record.trajectory
+    if not len(scene.thing.particles):
         return []
     free, breaks, reach, dt = np.ones(len(trajectory.com), bool), set[int](), NEAR * scene.thing.size, 1 / scene.fps
     for plane, heights in zip(scene.planes, _heights(record), strict=True):

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..records import Record
+from ..records import Record, Undefined
 
 NAN = float("nan")
 
@@ -21,9 +21,16 @@ class Metric:
     better: str
     """"lower", "higher", or "" where neither is."""
     function: Callable[[Record], float]
-    """NaN where the run does not define it: no contact, no flight, no person."""
+    """May ask for what the run lacks, or return NaN: no contact, no flight, no person."""
     group: str = ""
     """The table it stands in."""
+
+    def __call__(self, record: Record) -> float:
+        """NaN where the run does not define it."""
+        try:
+            return self.function(record)
+        except Undefined:
+            return NAN
 
     @property
     def heading(self) -> str:

@@ -1,5 +1,7 @@
 """What is where something else is: person in object, object in ground and walls, feet in the ground."""
 
+from functools import reduce
+
 import numpy as np
 
 from hoi.body.skeleton import LIMBS
@@ -7,7 +9,7 @@ from hoi.data import Array, Plane
 from hoi.refine.fidelity import object_at
 
 from ..posing import interpolate, joint_frames
-from ..records import Record
+from ..records import Record, Undefined
 from .contact import push_of
 from .hulls import hulls_of
 from .meeting import meeting
@@ -29,23 +31,23 @@ def person_object_depth(record: Record) -> float:
 def person_object_volume(record: Record) -> float:
     """Volume of the object that is inside the person, mean over the run, at the times of the depth: rest volumes of the
     particles within the convex hulls of the joints' skin."""
-    run, met = record.run, meeting(record)
-    if met is None or run.scene is None or run.state.motion is None or run.state.trajectory is None:
+    scene, motion, trajectory, met = record.scene, record.motion, record.trajectory, meeting(record)
+    if met is None:
         return NAN
-    hulls = hulls_of(run.scene.body, tuple(np.flatnonzero(met.by_joint.any(axis=0)).tolist()))
-    rotations, positions = joint_frames(run.scene.body, run.state.motion)
-    trajectory, push, total = run.state.trajectory, push_of(record), 0.0
+    hulls = hulls_of(scene.body, tuple(np.flatnonzero(met.by_joint.any(axis=0)).tolist()))
+    rotations, positions = joint_frames(scene.body, motion)
+    push, total = push_of(record), 0.0
     for frame, span in zip(met.frames[met.touching], _spans(met.frames)[met.touching], strict=True):
-        particles = object_at(trajectory, push, run.scene.fps, float(frame))
+        particles = object_at(trajectory, push, scene.fps, float(frame))
         inside = np.zeros(len(particles), bool)
         for hull in hulls:  # between frames the blend of two poses, as the skin is
             turn, place = interpolate(rotations[:, hull.joint], frame), interpolate(positions[:, hull.joint], frame)
-            rest = run.scene.body.rest_joints[hull.joint]
+            rest = scene.body.rest_joints[hull.joint]
             corners = (hull.corners() - rest) @ turn.T + place
             near = np.all((particles >= corners.min(axis=0)) & (particles <= corners.max(axis=0)), axis=1)
             inside[near] |= hull.contains((particles[near] - place) @ np.linalg.inv(turn).T + rest)
-        total += span * float(run.scene.thing.volumes[inside].sum())
-    return total / min(len(trajectory.positions), len(run.state.motion)) / LITRE
+        total += span * float(scene.thing.volumes[inside].sum())
+    return total / min(len(trajectory.positions), len(motion)) / LITRE
 
 
 def _spans(frames: Array) -> Array:
@@ -56,23 +58,19 @@ def _spans(frames: Array) -> Array:
 
 def object_ground_depth(record: Record) -> float:
     """How deep any particle of the object is behind the ground or a wall, at most over the frames."""
-    heights = _object_heights(record)
-    return NAN if heights is None else max(0.0, -float(heights.min()))
+    return max(0.0, -float(_object_heights(record).min()))
 
 
 def object_ground_volume(record: Record) -> float:
     """Volume of the object behind the ground or a wall, mean over the frames: rest volumes of the particles there."""
-    heights, scene = _object_heights(record), record.run.scene
-    if heights is None or scene is None:
-        return NAN
-    return float(((heights < 0) @ scene.thing.volumes).mean()) / LITRE
+    return float(((_object_heights(record) < 0) @ record.scene.thing.volumes).mean()) / LITRE
 
 
 def feet_ground_depth(record: Record) -> float:
     """How deep the skin of the feet is in the ground, at most over the frames; all of the skin where nothing says which
     of it belongs to the feet."""
     ground, skin, joints = ground_of(record), record.skin, record.skin_joints
-    if ground is None or skin is None:
+    if skin is None:
         return NAN
     feet = skin if joints is None else skin[:, np.isin(joints, FEET)]
     return NAN if feet.shape[1] == 0 else max(0.0, -float(height_above(ground, feet).min()))
@@ -81,20 +79,18 @@ def feet_ground_depth(record: Record) -> float:
 def feet_ground_volume(record: Record) -> float:
     """Volume of the feet in the ground, mean over the frames: the convex hulls of their joints' skin, in cubes of
     8 mm."""
-    run, ground = record.run, ground_of(record)
-    if ground is None or run.scene is None or run.state.motion is None:
-        return NAN
-    rotations, positions = joint_frames(run.scene.body, run.state.motion)
-    hulls, count = hulls_of(run.scene.body, FEET), 0
+    body, motion, ground = record.scene.body, record.motion, ground_of(record)
+    rotations, positions = joint_frames(body, motion)
+    hulls, count = hulls_of(body, FEET), 0
     if not hulls:
         return NAN
     for hull in hulls:
-        away = hull.lattice(SPACING) - run.scene.body.rest_joints[hull.joint]
+        away = hull.lattice(SPACING) - body.rest_joints[hull.joint]
         # The height of x = R away + p over the plane is (R^T n) . away + (p - point) . n.
         normals = rotations[:, hull.joint].transpose(0, 2, 1) @ ground.normal
         offsets = (positions[:, hull.joint] - ground.point) @ ground.normal
         count += int((normals @ away.T + offsets[:, None] < 0).sum())
-    return count * SPACING**3 / len(run.state.motion) / LITRE
+    return count * SPACING**3 / len(motion) / LITRE
 
 
 def height_above(plane: Plane, points: Array) -> Array:
@@ -102,18 +98,17 @@ def height_above(plane: Plane, points: Array) -> Array:
     return (points - plane.point.astype(np.float32)) @ plane.normal.astype(np.float32)
 
 
-def ground_of(record: Record) -> Plane | None:
-    """The ground: the first plane, where it faces up."""
-    planes = record.run.scene.planes if record.run.scene is not None else ()
-    return planes[0] if planes and planes[0].normal[2] > 0.5 else None
+def ground_of(record: Record) -> Plane:
+    """The ground: the first plane, where it faces up; else undefined."""
+    planes = record.scene.planes
+    if not planes or planes[0].normal[2] <= 0.5:
+        raise Undefined
+    return planes[0]
 
 
-def _object_heights(record: Record) -> Array | None:
-    """Of all particles over the nearest plane [m], (T, P); None without object or planes."""
-    scene, trajectory = record.run.scene, record.run.state.trajectory
-    if scene is None or trajectory is None or not scene.planes or not len(scene.thing.particles):
-        return None
-    heights = height_above(scene.planes[0], trajectory.positions)
-    for plane in scene.planes[1:]:
-        heights = np.minimum(heights, height_above(plane, trajectory.positions))
-    return heights
+def _object_heights(record: Record) -> Array:
+    """Of all particles over the nearest plane [m], (T, P); undefined without object or planes."""
+    scene, positions = record.scene, record.trajectory.positions
+    if not scene.planes or not len(scene.thing.particles):
+        raise Undefined
+    return reduce(np.minimum, (height_above(plane, positions) for plane in scene.planes))

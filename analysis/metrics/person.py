@@ -24,13 +24,12 @@ HYPEREXTENSION = 15.0
 
 def foot_skating(record: Record) -> float:
     """Mean horizontal speed of the toes that are on the ground in two frames in a row."""
-    run, joints = record.run, record.joints
-    if joints is None or run.scene is None or run.state.motion is None or len(joints) < 2:
+    body, motion, joints = record.scene.body, record.motion, record.joints
+    if joints is None or len(joints) < 2:
         return NAN
-    body = run.scene.body
     sole = float(body.cloud.means[:, 1].min()) if len(body.cloud) else float(body.rest_joints[:, 1].min())
     standing = body.rest_joints[list(TOES), 1] - sole
-    return skating(joints[:, list(TOES)], standing + DOWN, run.state.motion.fps)
+    return skating(joints[:, list(TOES)], standing + DOWN, motion.fps)
 
 
 def skating(toes: Array, heights: Array, fps: float) -> float:
@@ -42,17 +41,16 @@ def skating(toes: Array, heights: Array, fps: float) -> float:
 
 def jerk(record: Record) -> float:
     """Mean size of the third derivative of the joints' positions, over joints and frames."""
-    joints, motion = record.joints, record.run.state.motion
-    if joints is None or motion is None or len(joints) < 4:
+    joints = record.joints
+    if joints is None or len(joints) < 4:
         return NAN
-    return float(motion.fps**3 * np.linalg.norm(np.diff(joints, n=3, axis=0), axis=-1).mean())
+    return float(record.motion.fps**3 * np.linalg.norm(np.diff(joints, n=3, axis=0), axis=-1).mean())
 
 
 def joint_limits(record: Record) -> float:
     """Share of the joints' poses, over joints 1 to 23 and all frames, that are beyond the range of motion of healthy
     adults: turned farther than the joint can, or a knee bent forwards."""
-    motion = record.run.state.motion
-    return NAN if motion is None else float(beyond_limits(motion.body_pose).mean())
+    return float(beyond_limits(record.motion.body_pose).mean())
 
 
 def beyond_limits(body_pose: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from analysis.metrics import post_impact_error
+from analysis.metrics import METRICS
 from analysis.records import load
 from hoi.config.validate import to_config
 from hoi.errors import InputError, RunError
@@ -64,7 +64,7 @@ def test_default_scene_kicks_the_ball(runs):
 def test_ball_leaves_with_v_post(runs):
     """Within 2% of the formula, at the first frame after the impulse."""
     _, out, _ = runs("full")
-    assert post_impact_error(load(out / "run.mcap")) < 0.02
+    assert METRICS["v_post"](load(out / "run.mcap")) < 0.02
 
 
 def test_same_seed_same_bytes(runs, tmp_path):
