@@ -15,9 +15,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from analysis import command
+from analysis import command, sheets
 from hoi.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,6 +28,10 @@ DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
 STARTS = ".starts"
 """Hidden: the runs that contacts are refined from are none of the table's."""
+
+
+Study = tuple[list[str], str, list[Path]]
+"""What to say of it, what was done, the files."""
 
 
 def refuse(message: str) -> NoReturn:
@@ -68,23 +72,19 @@ def main() -> None:
     if unknown:
         raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for study, chosen in (
+    studies: list[tuple[Callable[[argparse.Namespace, Any], Study], list[Any]]] = [
         (_physics, [problems[name] for name in names if name in problems]),
         (_renderer, [views[name] for name in names if name in views]),
         (_contacts, [CONTACTS] if CONTACTS in names else []),
-    ):
+    ]
+    for study, chosen in studies:
         if chosen:
             began = time.perf_counter()
             said, done, paths = study(arguments, chosen)
             print(*said, f"{done} in {time.perf_counter() - began:.0f} s", *paths, sep="\n")
 
 
-Study = tuple[list[str], str, list[Path]]
-"""What to say of it, what was done, the files."""
-
-
 def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Problem]]") -> Study:
-    from analysis import sheets
     from analysis.precision import convergence, report, run
 
     problems = [make() for make in chosen]
@@ -99,7 +99,6 @@ def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Probl
 
 
 def _renderer(arguments: argparse.Namespace, chosen: "Sequence[Callable[[bool], View]]") -> Study:
-    from analysis import sheets
     from analysis.precision import picture_report, pictures
 
     views = [make(arguments.quick) for make in chosen]
@@ -114,8 +113,7 @@ def _renderer(arguments: argparse.Namespace, chosen: "Sequence[Callable[[bool], 
     return said, f"{len(table)} ways to make a picture", paths
 
 
-def _contacts(arguments: argparse.Namespace, _: "Sequence[str]") -> Study:
-    from analysis import sheets
+def _contacts(arguments: argparse.Namespace, _: Sequence[str]) -> Study:
     from analysis.precision import closeups, contact_report, contacts
 
     folder, threads = arguments.out / STARTS, arguments.threads
