@@ -11,6 +11,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,7 +117,7 @@ def memory(count: int, gradients: bool) -> dict[str, float | str]:
     """
     freed = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}  # glibc then gives back what is freed, and nothing hides in it
     call = f"render_bench.peak_growth({count}, {gradients})"
-    given = command.called_in(sys.executable, call, lambda said: _failed("memory", sys.executable, said), freed)
+    given = command.called_in(sys.executable, call, partial(_failed, "memory", sys.executable), freed)
     what = "picture and gradients" if gradients else "picture"
     return {"Gaussians": count, "what": what, "peak MB": given / 1e6, "bytes/Gaussian": given / count}
 
@@ -193,10 +194,8 @@ def projection_rows(
                 pose=camera.world_to_camera.astype(np.float32),
                 lens=np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float32),
             )
-            given = f"{str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns}"
-            theirs = command.called_in(
-                peer, f"render_bench.gsplat_projection({given})", lambda said: _failed("--peer", peer, said)
-            )
+            call = f"render_bench.gsplat_projection({str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns})"
+            theirs = command.called_in(peer, call, partial(_failed, "--peer", peer))
             rows.append(head | {"by": "gsplat's PyTorch"} | rest | theirs)
     return rows
 

@@ -17,20 +17,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from .. import command, sheets
 from hoi.errors import InputError
-
-from .. import command
 
 if TYPE_CHECKING:
     from .pictures import View
     from .problems import Problem
 
-Study = tuple[list[str], str, list[Path]]
-"""What to say of it, what was done, the files."""
 DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
 STARTS = ".starts"
 """Hidden: the runs that contacts are refined from are none of the table's."""
+
+
+Study = tuple[list[str], str, list[Path]]
+"""What to say of it, what was done, the files."""
 
 
 def refuse(message: str) -> NoReturn:
@@ -71,7 +72,7 @@ def main() -> None:
     if unknown:
         raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    studies: list[tuple[Callable[..., Study], list[Any]]] = [
+    studies: list[tuple[Callable[[argparse.Namespace, Any], Study], list[Any]]] = [
         (_physics, [problems[name] for name in names if name in problems]),
         (_renderer, [views[name] for name in names if name in views]),
         (_contacts, [CONTACTS] if CONTACTS in names else []),
@@ -84,7 +85,6 @@ def main() -> None:
 
 
 def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Problem]]") -> Study:
-    from .. import sheets
     from . import convergence, report, run
 
     problems = [make() for make in chosen]
@@ -99,7 +99,6 @@ def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Probl
 
 
 def _renderer(arguments: argparse.Namespace, chosen: "Sequence[Callable[[bool], View]]") -> Study:
-    from .. import sheets
     from . import picture_report, pictures
 
     views = [make(arguments.quick) for make in chosen]
@@ -114,8 +113,7 @@ def _renderer(arguments: argparse.Namespace, chosen: "Sequence[Callable[[bool], 
     return said, f"{len(table)} ways to make a picture", paths
 
 
-def _contacts(arguments: argparse.Namespace, _: "Sequence[str]") -> Study:
-    from .. import sheets
+def _contacts(arguments: argparse.Namespace, _: Sequence[str]) -> Study:
     from . import closeups, contact_report, contacts
 
     folder, threads = arguments.out / STARTS, arguments.threads

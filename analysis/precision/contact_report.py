@@ -25,7 +25,7 @@ PANELS = {"penetration": "deepest penetration [mm]", "touching": "touching at t_
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
     """Mean and standard deviation over starts of each way, with n, those that got shallower, and those that stopped."""
-    table = pd.DataFrame(table[table["deepest before"].notna()])  # those with a contact, and the limb near it
+    table = table.loc[table["deepest before"].notna()]  # those with a contact, and the limb near it
     table = table.assign(shallower=table["penetration"] < table["deepest before"])
     groups = table.groupby(["setting", "way", "kind"], sort=False)
     names = ["penetration", "touching", "gap", "strange"]
@@ -73,7 +73,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         len(settings), 2, figsize=(11, 4 * len(settings)), squeeze=False, dpi=130, layout="constrained"
     )
     for setting, row in zip(settings, axes, strict=True):
-        rows = pd.DataFrame(summary[summary["setting"] == setting])
+        rows = summary.loc[summary["setting"] == setting]
         for ax, (name, label) in zip(row, PANELS.items(), strict=True):
             _panel(ax, rows, name, label)
         row[0].set_title(f"{setting} settings", loc="left", color=INK)
@@ -88,8 +88,8 @@ def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
     error = unit * rows[f"{name} sd"] / rows["n"] ** 0.5
     rows = rows.assign(x=rows["seconds"].clip(lower=LEAST_SECONDS), y=unit * rows[name], error=error)
     for kind, (colour, marker) in KINDS.items():
-        of = pd.DataFrame(rows[rows["kind"] == kind])
-        counted, ended = (pd.DataFrame(of[mask]) for mask in (of["way"] != kind, of["way"] == kind))
+        of = rows.loc[rows["kind"] == kind]
+        counted, ended = (of.loc[mask] for mask in (of["way"] != kind, of["way"] == kind))
         until = f"{kind}, until out" if len(counted) else kind
         for some, line, called in ((counted, ":", kind), (ended, "", until)):
             if len(some):
@@ -97,7 +97,7 @@ def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
                 ax.errorbar(some["x"], some["y"], some["error"], color=colour, marker=marker, mfc=face, ms=7, ls=line,
                             label=called, capsize=2)  # fmt: skip
     if name == "penetration":
-        best = pd.DataFrame(rows[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())]).sort_values("x")
+        best = rows.loc[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())].sort_values("x")
         ax.step(best["x"], best["y"], where="post", color=INK, lw=0.8, zorder=0)
     ax.set(xscale="log", xlabel="seconds of stage 3", ylabel=label)
     charts.plain_numbers(ax.xaxis, steps=False)

@@ -113,7 +113,7 @@ def draw(
         len(views), 3, figsize=(16, height), squeeze=False, dpi=130, width_ratios=[1.0, 1.8, 1.8]
     )
     for view, (shown, middle, worst) in zip(views, axes, strict=True):
-        rows = pd.DataFrame(table[table["scene"] == view.name])
+        rows = table.loc[table["scene"] == view.name]
         _show(shown, view, truths[view.name])
         _panel(middle, rows, "error", "RMS error")
         _decibels(middle)
@@ -143,10 +143,10 @@ def _panel(ax: Axes, rows: pd.DataFrame, error: str, called: str) -> None:
     """One measure of error over milliseconds; a bar goes from the fastest to the slowest picture."""
     rows = rows.assign(ms=1e3 * rows["seconds"])
     if error == "error":  # of which the front is
-        front = pd.DataFrame(rows[rows["front"]]).sort_values("ms")
+        front = rows.loc[rows["front"]].sort_values("ms")
         ax.step(front["ms"], front[error], where="post", color=INK, lw=1.2, zorder=1)
     for kind, (colour, marker, _, place) in KINDS.items():
-        chosen = pd.DataFrame(rows[rows["kind"] == kind])
+        chosen = rows.loc[rows["kind"] == kind]
         reach = [chosen["ms"] - 1e3 * chosen["fastest"], 1e3 * chosen["slowest"] - chosen["ms"]]
         ax.errorbar(chosen["ms"], chosen[error], xerr=reach, fmt="none", ecolor=colour, elinewidth=0.7, alpha=0.25)
         ax.scatter(chosen["ms"], chosen[error], s=120 if marker == "*" else 45, c=colour, marker=marker,

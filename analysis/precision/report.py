@@ -51,7 +51,7 @@ def markdown(problems: Sequence[Problem], table: pd.DataFrame, orders: Sequence[
     """The report as text."""
     parts = [f"# {TITLE}", sheets.markdown_list(noted), "## Observed orders", _orders(orders)]
     for problem in problems:
-        rows = pd.DataFrame(table[table["problem"] == problem.name])
+        rows = table.loc[table["problem"] == problem.name]
         parts.append(f"## {problem.name}: {problem.title}")
         if problem.notes:
             parts.append(sheets.markdown_list({name: f"{value:.4g}" for name, value in problem.notes.items()}))
@@ -106,7 +106,7 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
     for ax in axes.flat[len(problems) :]:
         ax.axis("off")
     for problem, ax in zip(problems, axes.flat, strict=False):
-        _panel(ax, problem, pd.DataFrame(table[table["problem"] == problem.name]))
+        _panel(ax, problem, table.loc[table["problem"] == problem.name])
     charts.legend(figure, KINDS.values(), columns=5)
     charts.heading(figure, TITLE, noted, height)
     figure.tight_layout(rect=(0, 0.65 / height, 1, 1 - 0.6 / height), h_pad=2.0)
@@ -116,14 +116,14 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
 
 def _panel(ax: Axes, problem: Problem, rows: pd.DataFrame) -> None:
     """One problem. The stand-ins take no time to speak of: they stand at the left edge, whatever they take."""
-    rows = pd.DataFrame(rows[np.isfinite(rows["error"])])
+    rows = rows.loc[np.isfinite(rows["error"])]
     stands_in = rows["kind"].isin(list(STAND_INS))
     fastest = rows.loc[~stands_in, "seconds"].min()
     floor = rows.loc[rows["error"] > EXACT, "error"].min() / 10
     rows = rows.assign(
         x=rows["seconds"].where(~stands_in, fastest / 3), y=rows["error"].clip(lower=floor), edge=stands_in
     )
-    front = pd.DataFrame(rows[rows["front"]]).sort_values("seconds")
+    front = rows.loc[rows["front"]].sort_values("seconds")
     ax.step(front["x"], front["y"], where="post", color=INK, lw=1.2, zorder=1)
     for kind, (colour, marker, _) in KINDS.items():
         chosen = rows[rows["kind"] == kind]
@@ -140,7 +140,7 @@ def _panel(ax: Axes, problem: Problem, rows: pd.DataFrame) -> None:
         if high < 200 * low:
             charts.plain_numbers(axis)
         axis.set_minor_formatter(NullFormatter())
-    _name(ax, pd.DataFrame(rows[rows["edge"] | rows["front"] | (rows["error"] < EXACT)]).sort_values("seconds"))
+    _name(ax, rows.loc[rows["edge"] | rows["front"] | (rows["error"] < EXACT)].sort_values("seconds"))
 
 
 def _name(ax: Axes, rows: pd.DataFrame) -> None:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,28 +26,24 @@ MOST_SECONDS = 60.0
 
 def attempt(case: Case) -> Outcome:
     """Run the case to its end, or to whatever stops it."""
-    started = time.perf_counter()
-    trial = None
-    outcome = Outcome(case)
+    started, trial = time.perf_counter(), None
+    ended: dict[str, Any] = {}
     try:
-        with np.errstate(
-            invalid="ignore", divide="ignore"
-        ):  # what must be refused computes with inf and nan until then
+        with np.errstate(invalid="ignore", divide="ignore"):  # what must be refused has inf and nan until then
             trial = _Trial(case)
         trial.run(until=time.perf_counter() + MOST_SECONDS)
     except InputError as error:
         stepped = trial is not None and trial.simulation.steps > 0
-        outcome = replace(outcome, failure=f"refused after the first step: {error}") if stepped else \
-            replace(outcome, refusal=str(error))  # fmt: skip
+        ended = {"failure": f"refused after the first step: {error}"} if stepped else {"refusal": str(error)}
     except RunError as error:
-        outcome = replace(outcome, stop=str(error))
+        ended = {"stop": str(error)}
     except Exception as error:  # whatever it is, the other cases are to be run
-        outcome = replace(outcome, failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
-    seconds = time.perf_counter() - started
+        ended = {"failure": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+    outcome = Outcome(case, **ended, seconds=time.perf_counter() - started)
     if trial is None:
-        return replace(outcome, seconds=seconds)
-    return replace(outcome, looks=tuple(trial.looks), mass=trial.masses.sum(), steps=trial.steps,
-                   cfl=trial.cfl, reached=trial.reached, seconds=seconds)  # fmt: skip
+        return outcome
+    return replace(outcome, looks=tuple(trial.looks), mass=trial.masses.sum(), steps=trial.steps, cfl=trial.cfl,
+                   reached=trial.reached)  # fmt: skip
 
 
 class _Trial:
@@ -62,10 +59,8 @@ class _Trial:
         self.spread = {"quadratic": 1 / 4, "cubic": 1 / 3}[case.spline]
         self.materials, self.region = self.material, None
         if case.other_stiffness:
-            self.materials = [
-                self.material,
-                replace(self.material, youngs_modulus=case.other_stiffness * case.youngs_modulus),
-            ]
+            other = replace(self.material, youngs_modulus=case.other_stiffness * case.youngs_modulus)
+            self.materials = [self.material, other]
             self.region = (positions[:, 0] > np.median(positions[:, 0])).astype(np.int32)
         self.gravity = np.array([0.0, 0.0, -case.gravity])
         self.direction = _direction(case.heading, out)
@@ -114,7 +109,7 @@ class _Trial:
         speed = (1 + self.case.kick_restitution) * self.case.kick * p_wave_speed(self.material)
         before = self.simulation.state()
         after = kick(before, speed * self.direction)
-        self.kick_work += float(self._energies(after).sum() - self._energies(before).sum())
+        self.kick_work += float(self.simulation.energies(after).sum() - self.simulation.energies(before).sum())
         self.offset, self.steps_before, self.cfl_before = now, self.steps, self.cfl
         self.simulation = self._simulation(after)
         self._look(after)
@@ -134,9 +129,6 @@ class _Trial:
             precision=self.case.precision,
         )
 
-    def _energies(self, state: ObjectState) -> Array:
-        return self.simulation.energies(state)
-
     def _look(self, state: ObjectState) -> None:
         momentum = linear_momentum(state, self.masses)
         com, speeds = centre_of_mass(state.positions, self.masses), np.linalg.norm(state.velocities, axis=1)
@@ -145,7 +137,7 @@ class _Trial:
         self.looks.append(
             Look(
                 time=self.simulation.time + self.offset,
-                energy=self._energies(state),
+                energy=self.simulation.energies(state),
                 work=self.kick_work + pushed,
                 momentum=momentum,
                 spin=angular_momentum(state, self.masses, self.case.dx, self.spread) - np.cross(com, momentum),

@@ -4,14 +4,17 @@ import subprocess
 import sys
 
 import pytest
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.singleton import Singleton
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, VideoConf, View, WindowedConf
+from hoi.config.compose import one_line
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH
-from hoi.run import one_line
 
 GROUPS = ["human", "object", "material", "scene", "experiment", "ablation", "render"]
 GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir())]
@@ -22,6 +25,13 @@ EXTRA = {
     "stage/motion=file": ["stage.motion.path=walk.bvh"],
 }
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
+
+
+def test_composing_leaves_hydra_as_it_was(composed):
+    with initialize_config_dir(str(CONF), "another", version_base="1.2"):
+        before = dict(Singleton._instances), ConfigStore.instance().repo.get("schema")
+        assert composed("seed=3").seed == 3
+        assert (dict(Singleton._instances), ConfigStore.instance().repo.get("schema")) == before
 
 
 @pytest.mark.parametrize("option", OPTIONS)
