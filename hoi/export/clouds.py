@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from hoi import gaussians
 from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
-from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject
+from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
 from hoi.export.axes import AXES
 from hoi.files import whole_file, whole_folder
 from hoi.render.shown import scene_of
@@ -115,7 +115,7 @@ def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
     bands = max(part.sh.shape[1] for part in parts)
     sh = [np.pad(part.sh, ((0, 0), (0, bands - part.sh.shape[1]), (0, 0))) for part in parts]
     padded = [replace(part, sh=harmonics) for part, harmonics in zip(parts, sh, strict=True)]
-    return GaussianCloud(*map(np.concatenate, zip(*(vars(part).values() for part in padded), strict=True)))
+    return GaussianCloud(*map(np.concatenate, zip(*(fields_of(part).values() for part in padded), strict=True)))
 
 
 def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:

@@ -9,7 +9,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from hoi.body.skeleton import JOINT_NAMES
-from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run
+from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run, fields_of
 from hoi.files import whole_file
 from hoi.record.camera import Footage, poses
 from hoi.record.camera import messages as camera_messages
@@ -100,7 +100,7 @@ def _facts(run: Run) -> dict:
         "motion": None if motion is None else {"fps": motion.fps, "frames": len(motion), "dtypes": dtypes},
         "trajectory": None if trajectory is None else {"frames": len(trajectory.positions)},
         "target": state.target,
-        "contact": None if search is None else vars(search) | {"contacts": len(search.contacts)},
+        "contact": None if search is None else fields_of(search) | {"contacts": len(search.contacts)},
     }
 
 
@@ -165,4 +165,4 @@ def _contacts(contacts: tuple[Contact, ...], fps: float) -> Iterator[Message]:
     for contact in sorted(contacts, key=lambda contact: contact.frame):
         time = _nanoseconds(contact.frame, fps)
         name = JOINT_NAMES[contact.joint] if contact.joint >= 0 else ""
-        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": name, **vars(contact)})
+        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": name, **fields_of(contact)})
