@@ -5,7 +5,6 @@ Each run is a process of its own; the first warms the caches (compiled kernels, 
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -14,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hoi.errors import InputError
+
+from . import command, sheets
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,23 +55,20 @@ def measure(runs: int, overrides: list[str]) -> pd.DataFrame:
     return table.reset_index()
 
 
+@command.exit_code("analysis.bench")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.bench",
-        description="Seconds by stage of a scene, from recorded runs.",
-        epilog="example: python -m analysis.bench --runs 3 -- scene=kick_soccer_ball",
+    parser = command.parser(
+        "analysis.bench",
+        "Seconds by stage of a scene, from recorded runs.",
+        "--runs 3 -- scene=kick_soccer_ball",
     )
     parser.add_argument("--runs", type=int, default=3, help="counted runs (default 3)")
     parser.add_argument("overrides", nargs="*", help="config overrides, as for hoi.run")
     arguments = parser.parse_args()
-    try:
-        table = measure(max(arguments.runs, 1), arguments.overrides)
-    except InputError as error:
-        print(f"analysis.bench: {error}", file=sys.stderr)
-        sys.exit(2)
+    table = measure(max(arguments.runs, 1), arguments.overrides)
     print(f"{' '.join(arguments.overrides) or 'default scene'}: {arguments.runs} runs, {os.cpu_count()} CPU cores")
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+    print(sheets.plain(table))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -4,20 +4,18 @@ An elastic ball on cells of 2/64 m, 8 particles a cell, E 1e7, nu 0.45, 1000 kg/
 measured beside it, on all cores as it always runs, where it is installed: here, or in the Python that --peer names.
 """
 
-import argparse
-import importlib.util
-import json
 import math
 import os
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from hoi.data import Material
 from hoi.errors import InputError
+
+from . import command
+from .command import timed
 
 DX, DT = 2 / 64, 4e-5
 MATERIAL = Material("bench", "fixed_corotated", 1e7, 0.45, 1000.0, 0.6, 0.5)
@@ -31,12 +29,7 @@ def radius_of(particles: int) -> float:
 
 def milliseconds_a_step(step: Callable[[int], object], steps: int = STEPS) -> float:
     """Median over `TURNS` turns of `steps` steps [ms], after one turn that does not count; step(n) does n steps."""
-    turns = []
-    for _ in range(TURNS + 1):
-        began = time.perf_counter()
-        step(steps)
-        turns.append((time.perf_counter() - began) / steps * 1e3)
-    return float(np.median(turns[1:]))
+    return 1e3 / steps * float(np.median(timed(lambda: step(steps), TURNS)))
 
 
 def measure(particles: int, model: str, threads: int, precision: str, device: str) -> dict[str, float | str]:
@@ -89,52 +82,38 @@ def row(solver: str, particles: int, ms: float) -> dict[str, float | str]:
     return {"solver": solver, "particles": particles, "ms/step": ms, "M particle-steps/s": particles / ms / 1e3}
 
 
-def genesis_row(particles: int, peer: str) -> dict[str, float | str]:
-    """What `measure_genesis` says in the interpreter `peer`.
-
-    Raises:
-        InputError: it failed there.
-    """
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    code = f"import json; from analysis import mpm_bench as b; print(json.dumps(b.measure_genesis({particles})))"
-    done = subprocess.run([peer, "-c", code], cwd=root, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise InputError(f"--peer {peer}: Genesis failed there: {done.stderr.strip().splitlines()[-1:]}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
+@command.exit_code("analysis.mpm_bench")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.mpm_bench",
-        description="Milliseconds a step of the MPM, by particles, threads and material model.",
-        epilog="example: python -m analysis.mpm_bench --particles 5000 20000 --threads 1 2",
+    parser = command.parser(
+        "analysis.mpm_bench",
+        "Milliseconds a step of the MPM, by particles, threads and material model.",
+        "--particles 5000 20000 --threads 1 2",
     )
     parser.add_argument("--particles", type=int, nargs="+", default=[5000, 20000, 100000])
     parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, os.cpu_count() or 1}))
     parser.add_argument("--models", nargs="+", default=["neo_hookean", "fixed_corotated"])
     parser.add_argument("--precision", nargs="+", default=["float32"], choices=["float32", "float64"])
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
-    parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("genesis") else None,
-                        metavar="PYTHON", help="one with Genesis (default: this one, if it has it)")  # fmt: skip
+    command.add_peer(parser, "genesis", "Genesis")
     arguments = parser.parse_args()
     import pandas as pd  # not at the top: the peer's interpreter may not have it
 
+    from . import sheets
+
     rows = []
-    try:
-        if min(*arguments.particles, *arguments.threads, 10**9) < 1:
-            raise InputError("--particles and --threads must be 1 or more")
-        for particles in arguments.particles:
-            rows += [
-                measure(particles, model, threads, precision, arguments.device)
-                for threads in (arguments.threads if arguments.device == "cpu" else [1])
-                for model in arguments.models
-                for precision in arguments.precision
-            ]
-            if arguments.peer is not None:
-                rows.append(genesis_row(particles, arguments.peer))
-    except InputError as error:
-        print(f"analysis.mpm_bench: {error}", file=sys.stderr)
-        sys.exit(2)
+    if min(*arguments.particles, *arguments.threads, 10**9) < 1:
+        raise InputError("--particles and --threads must be 1 or more")
+    for particles in arguments.particles:
+        rows += [
+            measure(particles, model, threads, precision, arguments.device)
+            for threads in (arguments.threads if arguments.device == "cpu" else [1])
+            for model in arguments.models
+            for precision in arguments.precision
+        ]
+        if arguments.peer is not None:
+            call = f"mpm_bench.measure_genesis({particles})"
+            says = f"--peer {arguments.peer}: Genesis failed there: {{}}".format
+            rows.append(command.called_in(arguments.peer, call, says))
     table = pd.DataFrame(rows)
     if arguments.peer is None:
         print("Genesis is not installed here; --peer PYTHON names an interpreter that has it")
@@ -143,8 +122,8 @@ def main() -> None:
         nearest = [theirs.iloc[np.abs(theirs.index - n).argmin()] for n in table["particles"]]
         table["times as fast"] = np.array(nearest) / table["ms/step"]
     print(f"{os.cpu_count()} CPU cores")
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+    print(sheets.plain(table))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,11 +9,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from analysis.posing import joint_frames, posed_means
 from hoi import record
 from hoi.data import Array, Run
 from hoi.errors import InputError
 from hoi.record.checks import Refused, check_finite
+
+from .posing import joint_frames, posed_means
 
 DONE, FAILED = "run.mcap", "run.failed.mcap"
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -86,7 +87,7 @@ class Record:
         run = self.run
         if run.scene is None or run.state.motion is None:
             return None
-        return run.scene.body.skinning_weights.argmax(axis=1)
+        return run.scene.body.dominant_joints
 
 
 def find(folder: Path) -> list[Path]:

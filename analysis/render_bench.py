@@ -7,20 +7,19 @@ this Python, if it has gsplat, or in the one that --peer names.
 """
 
 import argparse
-import importlib.util
-import json
 import os
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hoi.errors import InputError
+
+from . import command
+from .command import timed
 
 if TYPE_CHECKING:
     from hoi.render.cameras import Camera
@@ -29,18 +28,13 @@ if TYPE_CHECKING:
 Row = dict[str, float | str]
 WARM_UP = 3
 WIDTH, HEIGHT = 720, 480
-ROOT = Path(__file__).parents[1]
 
 
 def milliseconds(step: Callable[[], object], turns: int) -> dict[str, float | str]:
     """Best and median [ms] of `turns` turns, after `WARM_UP` that do not count; and the median's pictures a second."""
-    spent = []
-    for _ in range(WARM_UP + turns):
-        began = time.perf_counter()
-        step()
-        spent.append(1e3 * (time.perf_counter() - began))
-    median = float(np.median(spent[WARM_UP:]))
-    return {"best ms": min(spent[WARM_UP:]), "median ms": median, "FPS": 1e3 / median}
+    spent = [1e3 * seconds for seconds in timed(step, turns, WARM_UP)]
+    median = float(np.median(spent))
+    return {"best ms": min(spent), "median ms": median, "FPS": 1e3 / median}
 
 
 # --- pictures --------------------------------------------------------------------------------------------------------
@@ -121,7 +115,8 @@ def memory(count: int, gradients: bool) -> dict[str, float | str]:
         InputError: it failed there.
     """
     freed = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}  # glibc then gives back what is freed, and nothing hides in it
-    given = _in_process(sys.executable, f"peak_growth({count}, {gradients})", "memory", freed)
+    call = f"render_bench.peak_growth({count}, {gradients})"
+    given = command.called_in(sys.executable, call, lambda said: _failed("memory", sys.executable, said), freed)
     what = "picture and gradients" if gradients else "picture"
     return {"Gaussians": count, "what": what, "peak MB": given / 1e6, "bytes/Gaussian": given / count}
 
@@ -130,8 +125,9 @@ def peak_growth(count: int, gradients: bool) -> float:
     """Bytes, in this process; nan where /proc does not tell. The cloud and the compiled kernels do not count."""
     import torch
 
-    from analysis.splat_scenes import camera_on, synthetic_cloud
     from hoi.render.rasterise import rasterise
+
+    from .splat_scenes import camera_on, synthetic_cloud
 
     torch.set_num_threads(1)
 
@@ -157,6 +153,10 @@ def peak_growth(count: int, gradients: bool) -> float:
 def _resident(field: str) -> float:
     (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(field)]
     return 1024.0 * int(line.split()[1])
+
+
+def _failed(what: str, python: str, said: list[str]) -> str:
+    return f"{what}: {python} failed: {' '.join(said)}"
 
 
 # --- gsplat on a CPU -------------------------------------------------------------------------------------------------
@@ -193,8 +193,11 @@ def projection_rows(
                 pose=camera.world_to_camera.astype(np.float32),
                 lens=np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float32),
             )
-            call = f"gsplat_projection({str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns})"
-            rows.append(head | {"by": "gsplat's PyTorch"} | rest | _in_process(peer, call, "--peer"))
+            given = f"{str(path)!r}, {camera.width}, {camera.height}, {threads}, {turns}"
+            theirs = command.called_in(
+                peer, f"render_bench.gsplat_projection({given})", lambda said: _failed("--peer", peer, said)
+            )
+            rows.append(head | {"by": "gsplat's PyTorch"} | rest | theirs)
     return rows
 
 
@@ -214,17 +217,6 @@ def gsplat_projection(path: str, width: int, height: int, threads: int, turns: i
         )
 
 
-def _in_process(python: str, call: str, what: str, environment: dict[str, str] | None = None) -> Any:
-    """What a function of this module returns in a process of its own."""
-    code = f"import json; from analysis import render_bench as b; print(json.dumps(b.{call}))"
-    done = subprocess.run(
-        [python, "-c", code], cwd=ROOT, capture_output=True, text=True, env=os.environ | (environment or {})
-    )
-    if done.returncode != 0:
-        raise InputError(f"{what}: {python} failed: {' '.join(done.stderr.strip().splitlines()[-1:])}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
 # --- the table -------------------------------------------------------------------------------------------------------
 
 
@@ -236,8 +228,9 @@ def measure_all(arguments: argparse.Namespace) -> list[Row]:
     """
     import torch
 
-    from analysis.splat_scenes import as_type, camera_on, cloud_of_file, default_parts, synthetic_cloud, torch_threads
     from hoi.render.splats import join
+
+    from .splat_scenes import as_type, camera_on, cloud_of_file, default_parts, synthetic_cloud, torch_threads
 
     on_gpu = arguments.device == "cuda"
     if on_gpu and not torch.cuda.is_available():
@@ -272,11 +265,12 @@ def with_ratios(rows: list[Row]) -> list[Row]:
     ]
 
 
+@command.exit_code("analysis.render_bench")
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.render_bench",
-        description="Milliseconds a picture, of the default scene's person and of larger clouds.",
-        epilog="example: python -m analysis.render_bench --threads 1 2",
+    parser = command.parser(
+        "analysis.render_bench",
+        "Milliseconds a picture, of the default scene's person and of larger clouds.",
+        "--threads 1 2",
     )
     parser.add_argument("--person", type=int, default=26_000, help="Gaussians of the default scene's person")
     parser.add_argument("--gaussians", type=int, default=100_000, help="of the synthetic cloud (default 100000)")
@@ -285,30 +279,25 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=15, help="pictures of which the best and the median count")
     parser.add_argument("--memory", type=int, default=1_000_000, help="Gaussians of the cloud for it; 0: leave it out")
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
-    parser.add_argument("--peer", default=sys.executable if importlib.util.find_spec("gsplat") else None,
-                        metavar="PYTHON", help="one with gsplat (default: this one, if it has it)")  # fmt: skip
+    command.add_peer(parser, "gsplat", "gsplat")
     arguments = parser.parse_args()
     import pandas as pd  # not at the top: the peer's interpreter may not have it
 
-    try:
-        if min(arguments.gaussians, arguments.turns, *arguments.threads) < 1 or arguments.memory < 0:
-            raise InputError("--gaussians, --turns and --threads must be 1 or more, --memory 0 or more")
-        table = pd.DataFrame(with_ratios(measure_all(arguments)))
-        peaks = [memory(arguments.memory, gradients) for gradients in (False, True) if arguments.memory]
-    except InputError as error:
-        print(f"analysis.render_bench: {error}", file=sys.stderr)
-        sys.exit(2)
+    from . import sheets
+
+    if min(arguments.gaussians, arguments.turns, *arguments.threads) < 1 or arguments.memory < 0:
+        raise InputError("--gaussians, --turns and --threads must be 1 or more, --memory 0 or more")
+    table = pd.DataFrame(with_ratios(measure_all(arguments)))
+    peaks = [memory(arguments.memory, gradients) for gradients in (False, True) if arguments.memory]
     if arguments.device == "cpu" and arguments.peer is None:
         print("gsplat is not installed here; --peer PYTHON names an interpreter that has it")
-    from analysis.precision.report import facts
-
-    print(*(f"{name}: {value}" for name, value in facts(1).items() if name != "threads"), sep="; ")
+    print(*(f"{name}: {value}" for name, value in sheets.facts(1).items() if name != "threads"), sep="; ")
     print(f"pictures of {WIDTH} x {HEIGHT}, {arguments.turns} of each")
-    print(table.to_string(index=False, na_rep="", float_format=lambda value: f"{value:.2f}"))
+    print(sheets.plain(table, na_rep=""))
     if peaks:
         print("Memory that a picture adds, on 1 thread of the CPU")
-        print(pd.DataFrame(peaks).to_string(index=False, float_format=lambda value: f"{value:.0f}"))
+        print(sheets.plain(pd.DataFrame(peaks), digits=0))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

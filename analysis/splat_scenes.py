@@ -25,17 +25,12 @@ OUTLIERS = 0.005
 
 def default_parts(person_gaussians: int = PERSON_GAUSSIANS) -> tuple[Splats, Splats]:
     """The person of the default scene, standing, and its object. Colours do not depend on the view."""
-    from hydra import compose, initialize_config_dir
-
     from hoi.body.skinning import stand_motion
-    from hoi.config import CONF, register
-    from hoi.config.validate import to_config
-    from hoi.method.scene import build_scene
+    from hoi.config import compose
     from hoi.render.replay import person_tensors, posed
+    from hoi.runner.scene import build_scene
 
-    register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        scene = build_scene(to_config(compose("config", [f"human.gaussians={person_gaussians}"])))
+    scene = build_scene(compose.config_of(f"human.gaussians={person_gaussians}"))
     still = stand_motion(scene.body, 1, scene.fps)
     parameters = (torch.as_tensor(array) for array in (still.translation, still.orientation, still.body_pose))
     (person,) = posed(person_tensors(scene.body), *parameters)

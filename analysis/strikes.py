@@ -15,7 +15,6 @@ the joints after stage 2. Exit codes: 0 done; 2 bad input; 3 a stage failed.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hoi.config import Approach, HMSDConf
+from hoi.config.compose import config_of
 from hoi.data import Motion
-from hoi.errors import InputError, RunError
+
+from . import command, sheets
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,8 +67,9 @@ def judged(
     """Medians over the seeds, and the share of strikes with the named limb; on the prior's own skeleton."""
     import torch
 
-    from analysis.motion import measures
     from hoi.method.hmsd import PoseParameters
+
+    from .motion import measures
 
     pose = PoseParameters.of(motions)
     with torch.no_grad():
@@ -97,36 +98,28 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
         RunError: a stage failed.
     """
     import pandas as pd
-    import torch
 
-    from analysis.reach import config_of, quiet
     from hoi.body.skinning import joint_paths
-    from hoi.method import movers
-    from hoi.method.coordination import coordinate, meet
-    from hoi.method.scene import build_scene
-    from hoi.method.synthesis import load_distillation, synthesise
     from hoi.motion.evaluator import load_evaluator
+
+    from .reach import first_stage
 
     evaluator, rows, paths = load_evaluator(), [], {}
     for init in inits:
         for number, strike in enumerate(STRIKES):
             own = (f"scene.motion_prompt={strike.sentence}", f"scene.placement.position={strike.position}")
             limb = f"scene.striking_limb={strike.limb}"
-            config = config_of(["human.gaussians=8000", *own, limb, *overrides, f"++stage.motion.init={init}"])
-            if not isinstance(config.stage.motion, HMSDConf):
-                raise InputError("analysis.strikes needs a motion prior: stage/motion=hmsd")
-            torch.set_num_threads(config.threads or torch.get_num_threads())
-            scene, still = build_scene(config), config.scene.approach is Approach.stand
-            distillation = load_distillation(scene, config.stage.motion, "cpu", still)
-            trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet("free motion"))
-            stages = [quiet("stage") for _ in seeds]
-            free = synthesise(scene, distillation, config.stage.motion, seeds, "cpu", stages)
-            met = [meet(scene, motion, trajectory, config) for motion in free]
-            scenes, begun, targets = [scene] * len(seeds), [motion for motion, _ in met], [target for _, target in met]
-            after = coordinate(scenes, begun, trajectory, targets, distillation, config, seeds, "cpu", stages)
+            start = f"++stage.motion.init={init}"
+            config = config_of("render=none", "human.gaussians=8000", *own, limb, *overrides, start)
+            walk = first_stage("analysis.strikes", config, seeds)
+            scene, distillation = walk.batch.scenes[0], walk.distillation
+            assert distillation is not None
+            free = [state.motion for state in walk.states if state.motion is not None]
+            walk.coordinate()
+            after = [state.motion for state in walk.states if state.motion is not None]
             facts_of_it = {"start": init, "strike": strike.sentence, "n": len(seeds)}
             rows.append({**facts_of_it, "stage": 1, **judged(strike, free, distillation, evaluator)})
-            gap = float(np.median([stage.numbers.get("reach_gap", np.nan) for stage in stages]))
+            gap = float(np.median([stages.reports[-1].numbers.get("reach_gap", np.nan) for stages in walk.stages]))
             numbers = judged(strike, after, distillation, evaluator)
             rows.append({**facts_of_it, "stage": 2, **numbers, "gap [m]": gap})
             paths[f"{init}/{number}"] = np.stack([joint_paths(scene.body, motion) for motion in after])
@@ -134,11 +127,12 @@ def study(overrides: Sequence[str], seeds: Sequence[int], inits: Sequence[str]) 
     return pd.DataFrame(rows), paths
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.strikes",
-        description="What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
-        epilog="example: python -m analysis.strikes -o runs/strikes --seeds 10",
+@command.exit_code("analysis.strikes")
+def main() -> None:
+    parser = command.parser(
+        "analysis.strikes",
+        "What stage 2 does to motions: ten strikes, before and after, by evaluator and joints.",
+        "-o runs/strikes --seeds 10",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/strikes"), help="folder for the tables")
     parser.add_argument("--seeds", type=int, default=10)
@@ -147,22 +141,15 @@ def main() -> int:
     options = parser.parse_args()
     import torch
 
-    from analysis.precision.report import facts, markdown_list, markdown_table
-
-    try:
-        table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
-        options.out.mkdir(parents=True, exist_ok=True)
-        noted = facts(torch.get_num_threads())
-        table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
-        np.savez_compressed(options.out / "strikes.npz", **paths)
-        cells = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy().tolist()]
-        text = ["# What stage 2 does to motions", markdown_list(noted), markdown_table([list(table.columns), *cells])]
-        (options.out / "strikes.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
-    except (InputError, RunError, OSError) as error:
-        print(f"analysis.strikes: {error}", file=sys.stderr)
-        return 3 if isinstance(error, RunError) else 2
+    table, paths = study(options.overrides, range(max(options.seeds, 1)), options.start or ["sample", "stand"])
+    options.out.mkdir(parents=True, exist_ok=True)
+    noted = sheets.facts(torch.get_num_threads())
+    table.assign(**noted).to_csv(options.out / "strikes.csv", index=False)
+    np.savez_compressed(options.out / "strikes.npz", **paths)
+    rows = sheets.markdown_table(table.to_dict("records"))
+    text = sheets.markdown(["# What stage 2 does to motions", sheets.markdown_list(noted), rows])
+    (options.out / "strikes.md").write_text(text, encoding="utf-8")
     print(options.out / "strikes.md")
-    return 0
 
 
 if __name__ == "__main__":

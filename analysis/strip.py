@@ -250,9 +250,9 @@ def _outcome(shown: Film) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `python -m analysis.strip`; the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.strip",
+        prog=f"python -m {__package__}.strip",
         description="A filmstrip of a record: person, object and contact in a row of pictures, and their speeds.",
-        epilog="example: python -m analysis.strip runs/kick_soccer_ball/laptop/full/s0/run.mcap -o strip.png",
+        epilog="example: %(prog)s runs/kick_soccer_ball/laptop/full/s0/run.mcap -o strip.png",
     )
     parser.add_argument("record", type=Path, metavar="RUN.mcap")
     parser.add_argument("-o", "--out", type=Path, help="PNG to write (default: strip.png beside the record)")

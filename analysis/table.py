@@ -24,8 +24,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.learned.sidecar import SCORES, read_scores, sidecar_path
 from hoi.errors import InputError
+
+from .learned.sidecar import SCORES, read_scores, sidecar_path
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,8 +56,8 @@ def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from analysis.metrics import METRICS
-    from analysis.records import find
+    from .metrics import METRICS
+    from .records import find
 
     files = find(folder)
     if not files:
@@ -85,7 +86,7 @@ def summarise(runs: pd.DataFrame, by: Sequence[str] = ()) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from analysis.metrics import METRICS
+    from .metrics import METRICS
 
     keys, numbers = [*by, "experiment", "variant"], [*METRICS, *SCORES]
     rows = []
@@ -114,9 +115,10 @@ def variant_place(experiment: str, variant: str) -> tuple[bool, bool, str, int, 
 
 def _row(folder: Path, path: Path) -> dict[str, object]:
     """A record's row."""
-    from analysis.metrics import METRICS
-    from analysis.records import load
     from hoi.record import read_metadata
+
+    from .metrics import METRICS
+    from .records import load
 
     row: dict[str, object] = dict.fromkeys(FACTS, "")
     row["path"] = path.relative_to(folder).as_posix()
@@ -156,9 +158,9 @@ def _reasons(texts: list[str]) -> str:
 
 def main(arguments: list[str] | None = None, say: Callable[[str], None] = print) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.table",
+        prog=f"python -m {__package__}.table",
         description="The tables of a folder of runs: every metric of every variant, as Markdown, CSV and more.",
-        epilog="example: python -m analysis.table runs --by scene",
+        epilog="example: %(prog)s runs --by scene",
     )
     parser.add_argument("folder", type=Path, nargs="?", default=Path("runs"))
     parser.add_argument("-o", "--out", type=Path, help="folder for the tables; default: table in the folder of runs")
@@ -166,8 +168,8 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     parser.add_argument("--mos", type=Path, metavar="CSV", help="opinion scores of ours, from analysis.study score")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
     options = parser.parse_args(arguments)
-    from analysis.study.opinions import read_opinions
-    from analysis.writers import write_tables
+    from .study.opinions import read_opinions
+    from .writers import write_tables
 
     try:
         runs = collect(options.folder, options.jobs)

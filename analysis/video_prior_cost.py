@@ -9,8 +9,6 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from hoi.config import VideoSDSConf
-from hoi.config.choices import VideoPriorKind
 from hoi.method.video_sds import distil
 from hoi.video_prior.cogvideox import CogVideoX, rotary_embedding
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
@@ -72,12 +70,6 @@ def _drawn(model: nn.Module, dtype: torch.dtype) -> nn.Module:
     return model.eval().requires_grad_(False)
 
 
-def conf_of(frames: int, size: tuple[int, int], offload: bool) -> VideoSDSConf:
-    return VideoSDSConf(
-        prior=VideoPriorKind.cogvideox, clip_frames=frames, height=size[0], width=size[1], offload=offload
-    )
-
-
 # --- measured --------------------------------------------------------------------------------------------------------
 
 
@@ -86,7 +78,7 @@ def measure(files: Files, frames: int, size: tuple[int, int], device: str, turns
 
     On a CPU they are seconds of it.
     """
-    prior = CogVideoX(files, conf_of(frames, size, offload), device)
+    prior = CogVideoX(files, size, frames, offload, device)
     prior.prepare("", "")
     clip = prior.clip_frames(SCENE_FRAMES // 2 - 1, SCENE_FRAMES // 2 + 1, SCENE_FRAMES)
     places = [place for place, frame in enumerate(clip) if abs(frame - SCENE_FRAMES // 2) <= 1]

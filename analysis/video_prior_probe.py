@@ -10,7 +10,6 @@ negative + g (positive - negative), so that both parts are told apart.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -21,6 +20,8 @@ import numpy as np
 
 from hoi.data import Array
 from hoi.errors import InputError
+
+from . import command
 
 if TYPE_CHECKING:
     import torch
@@ -138,10 +139,10 @@ def draw_probe(found: dict[str, Array], path: Path) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.video_prior_probe",
-        description="What the embedded video prior asks for, the limb being too deep in an object or short of it.",
-        epilog="example: python -m analysis.video_prior_probe -o probe.png",
+    parser = command.parser(
+        "analysis.video_prior_probe",
+        "What the embedded video prior asks for, the limb being too deep in an object or short of it.",
+        "-o probe.png",
     )
     parser.add_argument("--prior", help="a trained folder or file; default: the one in the package")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".png; the numbers go beside it as .json")

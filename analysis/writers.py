@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.learned.sidecar import SCORES
-from analysis.metrics import GROUPS, METRICS
-from analysis.reported import QUESTIONS, reported
+from .learned.sidecar import SCORES
+from .metrics import GROUPS, METRICS
+from .reported import QUESTIONS, reported
 
 UNREADABLE = "(unreadable)"
 SPREAD = (

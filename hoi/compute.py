@@ -1,12 +1,19 @@
-"""Starting Taichi for the simulation and the renderer, which share one runtime."""
+"""The compiler of the kernels, for the simulation and the renderer, which share one runtime. No other module names it.
+
+It is Taichi, or from Python 3.14 on, for which Taichi has no wheels, its maintained successor Quadrants, whose language
+is the same. Where both are installed HOI_COMPILER=taichi or HOI_COMPILER=quadrants in the environment chooses. It is
+imported when `ti` is first asked for; what `ti` does not give are the functions here.
+"""
 
 import contextlib
+import functools
+import importlib
 import io
-from typing import Literal
+import os
+import sys
+from typing import Any, Literal
 
-import taichi as ti
-from taichi.lang import impl
-from taichi.lang.misc import is_arch_supported
+import numpy as np
 
 from hoi.errors import InputError
 
@@ -14,18 +21,52 @@ Precision = Literal["float32", "float64"]
 Device = Literal["cpu", "cuda"]
 
 CPU_TASK = 512
-"""Turns of a parallel loop that Taichi gives a CPU thread at the least, whatever block_dim says (measured): a thread's
-share of the work hangs on the first of so many."""
+"""Turns of a parallel loop that the compiler gives a CPU thread at the least, whatever block_dim says (measured): a
+thread's share of the work hangs on the first of so many."""
+# Read when the compiler is imported: no banner, no look for a newer version on the network.
+QUIET = {
+    "ENABLE_TAICHI_HEADER_PRINT": "False",
+    "TI_SKIP_VERSION_CHECK": "ON",
+    "ENABLE_QUADRANTS_HEADER_PRINT": "False",
+}
 
 
-def start_taichi(precision: Precision, threads: int, device: Device) -> None:
-    """Starts Taichi, unless it runs with just these settings: then its compiled kernels are kept.
+def compiler() -> str:
+    """The package that compiles the kernels, "taichi" or "quadrants".
+
+    Raises:
+        InputError: HOI_COMPILER names another.
+    """
+    name = os.environ.get("HOI_COMPILER") or ("taichi" if sys.version_info < (3, 14) else "quadrants")
+    if name not in ("taichi", "quadrants"):
+        raise InputError(f"HOI_COMPILER must be taichi or quadrants, got {name!r}")
+    return name
+
+
+@functools.cache
+def _compiler() -> Any:
+    """The package, imported."""
+    for variable, value in QUIET.items():
+        os.environ.setdefault(variable, value)
+    return importlib.import_module(compiler())
+
+
+def __getattr__(name: str) -> Any:
+    """`ti`, imported when it is asked for."""
+    if name == "ti":
+        return _compiler()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def start_compiler(precision: Precision, threads: int, device: Device) -> None:
+    """Starts the compiler, unless it runs with just these settings: then its compiled kernels are kept.
 
     On a CPU vectors are kept whole, so that each is one register.
 
     Raises:
         InputError: a value that is not allowed, or no CUDA device.
     """
+    ti = _compiler()
     real = {"float32": ti.f32, "float64": ti.f64}.get(precision)
     arch = {"cpu": ti.cpu, "cuda": ti.cuda}.get(device)
     if real is None:
@@ -34,15 +75,23 @@ def start_taichi(precision: Precision, threads: int, device: Device) -> None:
         raise InputError(f"device must be cpu or cuda, got {device!r}")
     if not (isinstance(threads, int) and threads >= 1):
         raise InputError(f"threads must be a positive integer, got {threads!r}")
-    if impl.get_runtime().prog is not None:
-        config = impl.current_cfg()
+    runtime = vars(ti.lang.impl.get_runtime())
+    program = runtime["prog" if "prog" in runtime else "_prog"]
+    if program is not None:
+        config = program.config()
         on_cpu = config.arch != ti.cuda
         if (on_cpu, config.default_fp, config.cpu_max_num_threads) == (device == "cpu", real, threads):
             return
-    if device == "cuda" and not is_arch_supported(ti.cuda):
-        raise InputError("device is cuda, but Taichi finds no CUDA device; use cpu")
+    if device == "cuda" and not ti.lang.misc.is_arch_supported(ti.cuda):
+        raise InputError(f"device is cuda, but {compiler().capitalize()} finds no CUDA device; use cpu")
     with contextlib.redirect_stdout(io.StringIO()):  # ti.init prints the device it starts on
         ti.init(
             arch=arch, default_fp=real, default_ip=ti.i32, cpu_max_num_threads=threads, log_level=ti.ERROR,
             enable_fallback=False, real_matrix_scalarize=device == "cuda",
         )  # fmt: skip
+
+
+def default_float() -> type[np.floating[Any]]:
+    """The float type that kernels are being compiled for."""
+    ti = _compiler()
+    return np.float64 if ti.lang.impl.get_runtime().default_fp == ti.f64 else np.float32

@@ -7,6 +7,7 @@ frames), `time` is in seconds, `step` an MPM substep, `iteration` an optimiser i
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,11 @@ class Body:
     pose_directions: Array | None = None
     """Pose blend shapes: what each entry of R_j - I (joints 1..23, row-major) adds to the T-pose centres [m], shape
     (N, 3, 207); None where posing is skinning alone."""
+
+    @cached_property
+    def dominant_joints(self) -> NDArray[np.intp]:
+        """The joint that moves each Gaussian most, argmax_k w_ik, shape (N,)."""
+        return self.skinning_weights.argmax(axis=1)
 
 
 @dataclass(frozen=True)
@@ -278,6 +284,13 @@ class Target:
     chosen_by: str
     """"velocity profile" or "scene"."""
 
+    def meeting_frame(self, frames: int) -> int:
+        """The end of the strike's fastest step in a scene of `frames` frames.
+
+        v_j*(t*) is the step from t* to t* + 1, and V_human looks one step back.
+        """
+        return min(self.frame + 1, frames - 1)
+
 
 @dataclass(frozen=True)
 class Contact:
@@ -331,8 +344,6 @@ class State:
 
     motion: Motion | None = None
     trajectory: ObjectTrajectory | None = None
-    restarts: tuple[ObjectState, ...] = ()
-    """The object's state at each frame of its free motion, for the re-simulation; not recorded."""
     target: Target | None = None
     contact: ContactSearch | None = None
 
@@ -371,10 +382,17 @@ class Plan:
     steps: tuple[Step, ...]
     omissions: tuple[Omission, ...]
     checks: tuple[Check, ...]
+    uses: tuple[str, ...] = ()
+    """What the kept steps work with: "motion_prior"; in stage 2 "hmsd", "attraction" and "approach", which lets the
+    object's place decide where the person starts."""
 
     def keeps(self, name: str) -> bool:
         """Whether the step of this name is kept."""
-        return any(step.name == name for step in self.steps)
+        return self.implementation(name) is not None
+
+    def implementation(self, name: str) -> str | None:
+        """What does the step of this name; None where it is left out."""
+        return next((step.implementation for step in self.steps if step.name == name), None)
 
 
 @dataclass(frozen=True)

@@ -39,13 +39,18 @@ class RefineStopped(RuntimeError):
 
 
 @contextmanager
-def under(key: str) -> Iterator[None]:
-    """Puts `KEY.` before the field with which an `InputError` from inside begins, and before those that it proposes."""
+def under(key: str, *fields: str) -> Iterator[None]:
+    """Puts `KEY.` before the field with which an `InputError` from inside begins, and before those that it proposes.
+
+    Args:
+        fields: which ones are the key's, where files are read inside too; none: whatever is said is.
+    """
     try:
         yield
     except InputError as error:
-        if not error.has_subject:
-            error.args = (f"{key}." + PROPOSED.sub(rf"\1{key}.", str(error)),)
+        line = str(error)
+        if not error.has_subject and (not fields or re.match(rf"({'|'.join(fields)})[ :=,]", line)):
+            error.args = (f"{key}." + PROPOSED.sub(rf"\1{key}.", line),)
         raise
 
 

@@ -1,88 +1,16 @@
-"""The front door: compose, and hand on to `hoi.runner.execute`. No science here.
+"""The front door.
 
     python -m hoi.run scene=kick_soccer_ball ablation=no_mpm seed=1
     python -m hoi.run --config-dir sweeps --config-name ablations
 
-Exit codes: 0 done; 2 bad input; 3 the run itself, or one of a sweep, failed; 130 interrupted.
+From Python, `hoi.run(hoi.compose("scene=kick_soccer_ball"))` (see `hoi.api`).
 """
 
-import os
-import sys
+from hoi.callable import called
 
-import hydra
-from hydra.core.config_store import ConfigStore
-from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
-
-from hoi.config import CONF, register
-from hoi.errors import InputError, RunError
-from hoi.runner.execute import execute, what_next
-from hoi.runner.interrupt import interruptible
-from hoi.runner.sweep import Ended, run_of_sweep
-
-
-def one_line(error: BaseException) -> str:
-    """Hydra's and OmegaConf's messages without their stack of context lines."""
-    message = str(error).partition("Config search path")[0]
-    lines = [line.strip() for line in message.splitlines() if line.strip()]
-    cause = error.__cause__ or error.__context__
-    if isinstance(error, HydraException) and isinstance(cause, OmegaConfBaseException):
-        return one_line(cause)
-    key = getattr(error, "full_key", None)
-    text = " ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
-    return f"{key}: {text}" if key and key not in text else text
-
-
-def main() -> None:
-    """Entry point of `python -m hoi.run`, which is `hoi run`."""
-    if not (3, 11) <= sys.version_info[:2] <= (3, 13):
-        sys.exit(f"hoi needs Python 3.11 to 3.13 (what taichi has wheels for), this is {sys.version.split()[0]}")
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
-    with interruptible():
-        sys.exit(_compose_and_execute())
-
-
-def _compose_and_execute() -> int:
-    """All jobs of the command line; the exit code."""
-    register()
-    _share_config_store()
-    code, this = 0, os.getpid()
-
-    def job(composed: DictConfig) -> Ended | None:
-        nonlocal code
-        from hydra.core.hydra_config import HydraConfig
-
-        settings = HydraConfig.get()
-        overrides = list(settings.overrides.task)
-        if settings.mode is not None and settings.mode.name == "MULTIRUN":
-            return run_of_sweep(composed, overrides, this)
-        try:
-            if records := execute(composed, overrides):
-                print(what_next(records))
-        except (InputError, RunError) as error:
-            print(f"hoi: {error}", file=sys.stderr)
-            code = 2 if isinstance(error, InputError) else 3
-        return None
-
-    try:
-        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
-    except RunError as error:
-        print(f"hoi: {error}", file=sys.stderr)
-        code = 3
-    except (InputError, HydraException, OmegaConfBaseException) as error:
-        print(f"hoi: {one_line(error)}", file=sys.stderr)
-        code = 2
-    except OSError as error:
-        print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)
-        code = 2
-    return code
-
-
-def _share_config_store() -> None:
-    """Hydra copies its store of schemas, one for all, with every group that it looks into: a second of --help."""
-    ConfigStore.__deepcopy__ = lambda self, memo: self  # pyright: ignore[reportAttributeAccessIssue]
-
+called(__name__)
 
 if __name__ == "__main__":
+    from hoi.runner.main import main
+
     main()

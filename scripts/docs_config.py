@@ -16,10 +16,9 @@ from types import NoneType
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import yaml
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from hoi.config import CONF, SCHEMAS, Config, register
+from hoi.config import CONF, SCHEMAS, Config, compose
 
 GIVEN = {
     "object=from_file": ["object.path=thing.ply", "object.size=0.4"],
@@ -73,10 +72,8 @@ class Section:
 
 def composed(*overrides: str) -> DictConfig:
     """The config of a command line, with Hydra's part, and what needs a value given."""
-    register()
     given = [value for option, values in GIVEN.items() if option in overrides for value in values]
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", [*overrides, *given], return_hydra_config=True)
+    return compose.composed(*overrides, *given, with_hydra=True)
 
 
 @cache

@@ -4,24 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from hoi.config import CONF, register
+from hoi.config.compose import composed
 
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture
-def composed() -> Callable[..., DictConfig]:
+@pytest.fixture(name="composed")
+def composed_fixture() -> Callable[..., DictConfig]:
     """compose(*overrides) -> the config that the command line would give."""
-
-    def compose_with(*overrides: str) -> DictConfig:
-        register()
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            return compose("config", list(overrides))
-
-    return compose_with
+    return composed
 
 
 @pytest.fixture

@@ -43,6 +43,18 @@ def test_a_line_about_a_file_gets_no_key() -> None:
     assert pickle.loads(pickle.dumps(caught.value)).has_subject  # another process may hand it on
 
 
+def test_fields_tell_what_is_the_keys_own() -> None:
+    for line, expected in (
+        ("up: cannot tell", "stage.motion.up: cannot tell"),
+        ("start_time must be 0", "stage.motion.start_time must be 0"),
+        ("up/walk.npz: no such file", "up/walk.npz: no such file"),
+        ("walk.npz lacks trans", "walk.npz lacks trans"),
+    ):
+        with pytest.raises(InputError) as caught, under("stage.motion", "up", "start_time"):
+            raise InputError(line)
+        assert str(caught.value) == expected
+
+
 def test_other_errors_pass_through() -> None:
     for context in (under("stage"), about("file")):
         with pytest.raises(ValueError, match=r"^as it is$"), context:

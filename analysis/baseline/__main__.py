@@ -10,14 +10,14 @@ from hoi.runner.interrupt import interruptible
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.baseline",
+        prog=f"python -m {__package__}",
         description="Kinematic replay: the nearest motion-capture clip, the object carried on by what touches it.",
         epilog="All other arguments are those of python -m hoi.run: scene=NAME seed=N render=video out=DIR --multirun. "
-        "Example: python -m analysis.baseline scene=kick_soccer_ball seed=1",
+        "Example: %(prog)s scene=kick_soccer_ball seed=1",
     )
     parser.add_argument("--clips", type=Path, help="folder of .npz (AMASS) and .bvh files; default: those of pybullet")
     options, overrides = parser.parse_known_args()
-    from analysis.baseline.run import OUT, compose_and_execute
+    from .run import OUT, compose_and_execute
 
     for default in (f"out={OUT}", "render=none"):
         if not any(override.partition("=")[0] == default.partition("=")[0] for override in overrides):

@@ -13,10 +13,10 @@ import torch
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import forward_kinematics, rotation_from_6d, rotation_to_6d
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
-from hoi.body.skinning import joint_paths
+from hoi.body.skinning import joint_paths, sole_height
 from hoi.data import Body, Motion
 from hoi.errors import InputError
-from hoi.importers.motions import SUFFIXES, read_motion, sole_height
+from hoi.importers.motions import SUFFIXES, read_motion
 from hoi.importers.retarget import retarget
 from hoi.motion.text import TextEncoder
 from hoi.training.motion import deepmimic

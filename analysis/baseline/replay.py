@@ -7,12 +7,11 @@ import numpy as np
 
 from hoi.body.skeleton import JOINT_COUNT, LIMBS
 from hoi.body.skinning import joint_paths
-from hoi.config import Approach, Config, ImpulseConf
+from hoi.config import Approach, Config
 from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, State, Target
-from hoi.method.attraction import choose_target
-from hoi.method.contact import find_contact
-from hoi.method.coordination import approach, reach_gap
-from hoi.runner.progress import Stages
+from hoi.method.approach import approach
+from hoi.method.attraction import choose_target, reach_gap
+from hoi.reports import Stages
 
 RESTING = 1e-3
 """What is nearer to the ground than this lies on it [m]."""
@@ -20,8 +19,6 @@ RESTING = 1e-3
 
 def replayed(config: Config, scene: Scene, whole: Motion, stages: Stages) -> State:
     """The clip placed at the object, and the object that it moves."""
-    contact = config.stage.contact
-    assert isinstance(contact, ImpulseConf)  # checked by `execute`
     free = free_path(scene)
     limb = LIMBS[config.scene.striking_limb] if config.scene.striking_limb else range(JOINT_COUNT)
     peak = strike_of(joint_paths(scene.body, whole), limb, free)
@@ -32,26 +29,15 @@ def replayed(config: Config, scene: Scene, whole: Motion, stages: Stages) -> Sta
             motion, target = approach(scene, motion, free, target)
         stage.numbers["reach_gap"] = reach_gap(scene, motion, free, target)
     with stages.stage("contact", 1):
-        search = find_contact(
-            scene.body,
-            motion,
-            joint_paths(scene.body, motion),
-            free,
-            len(scene.thing.cloud),
-            mass=float(scene.thing.masses.sum()),
-            restitution=scene.thing.material.restitution,
-            tau=contact.tau,
-            distance=contact.distance,
-            between_frames=contact.between_frames,
-        )
+        search = config.stage.contact.search(scene, motion, free)
     push = search.push
     if push is None:
-        return State(motion, free, (), target, search)
+        return State(motion, free, target, search)
     with stages.stage("resimulate", 1) as stage:
         trajectory = carried_on(scene, free, push)
         error = np.linalg.norm(push.v_human - push.v_post) / np.linalg.norm(push.v_post)
         stage.numbers["v_post_error"] = float(error)
-    return State(motion, trajectory, (), target, _as_given(search, float(scene.thing.masses.sum())))
+    return State(motion, trajectory, target, _as_given(search, float(scene.thing.masses.sum())))
 
 
 def _as_given(search: ContactSearch, mass: float) -> ContactSearch:

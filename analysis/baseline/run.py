@@ -7,24 +7,26 @@ from dataclasses import replace
 from pathlib import Path
 
 import hydra
-import torch
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from analysis.baseline.clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
-from analysis.baseline.replay import replayed
-from hoi.config import CONF, Ablation, Config, ImpulseConf, VideoConf, register
+from hoi.config import CONF, Ablation, Config, register
+from hoi.config.compose import one_line
 from hoi.config.validate import to_config
 from hoi.data import Plan, Run, Step
 from hoi.errors import InputError, RunError
-from hoi.method.scene import build_scene
 from hoi.motion.text import default_cache, minilm
-from hoi.run import one_line
+from hoi.plan import make_plan
+from hoi.reports import Stages
 from hoi.runner.execute import RECORD, already_there
-from hoi.runner.pipeline import Job, draw, outcome, peak_memory_mb, pick_device, record
-from hoi.runner.progress import Stages
+from hoi.runner.jobs import outcome, peak_memory_mb, pick_device, record, torch_threads
+from hoi.runner.progress import bar
 from hoi.runner.provenance import provenance
+from hoi.runner.scene import build_scene
+
+from .clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
+from .replay import replayed
 
 VARIANT, EXPERIMENT = "kinematic replay", "baseline"
 OUT = "runs/${scene.name}/baseline/kinematic_replay/s${seed}"
@@ -46,7 +48,7 @@ def execute(composed: DictConfig, overrides: list[str], folder: Path | None) -> 
     started = time.perf_counter()
     composed.experiment = EXPERIMENT
     config = to_config(composed)
-    if config.ablation is not Ablation.full or not isinstance(config.stage.contact, ImpulseConf):
+    if config.ablation is not Ablation.full or config.stage.contact.name == "none":
         raise InputError(f"ablation={config.ablation.value}: the baseline has no parts to leave out; say ablation=full")
     clips = with_mirrored(shipped_clips() if folder is None else clips_of(folder))
     clip, caption, likeness = nearest(config.scene.motion_prompt, clips, minilm(default_cache()))
@@ -58,30 +60,29 @@ def execute(composed: DictConfig, overrides: list[str], folder: Path | None) -> 
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
 
-    torch.set_num_threads(config.threads or torch.get_num_threads())
-    stages, device = Stages(), pick_device(config.device)
-    scene = build_scene(config)
-    with stages.stage("motion", 1) as stage:
-        whole = clip.load(scene.body, scene.fps)
-        stage.numbers["likeness"] = likeness
-        stage.notes.append(f"{clip.name}: {caption!r}")
-    state = replayed(config, scene, whole, stages)
-    plan = plan_of(config, clip, caption, likeness)
-    run = Run(OmegaConf.to_yaml(composed, resolve=True), facts, {}, plan, (), (), scene, state)
+    stages, device = Stages(bar), pick_device(config.device)
+    scene, plan = build_scene(config), plan_of(config, clip, caption, likeness)
     video = footage = None
-    if isinstance(config.render, VideoConf):
-        with stages.stage("render", scene.frames) as stage:
-            video, footage = draw(run, config.render, device, stage)
+    with torch_threads(config.threads):
+        with stages.stage("motion", 1) as stage:
+            whole = clip.load(scene.body, scene.fps)
+            stage.numbers["likeness"] = likeness
+            stage.notes.append(f"{clip.name}: {caption!r}")
+        state = replayed(config, scene, whole, stages)
+        run = Run(OmegaConf.to_yaml(composed, resolve=True), facts, {}, plan, (), (), scene, state)
+        if plan.keeps("render"):
+            with stages.stage("render", scene.frames) as stage:
+                video, footage = config.render.draw(run, device, stage)
     result = {
         "status": "done",
-        "outcome": outcome(config, state, stages.reports),
+        "outcome": outcome(config, plan, state, stages.reports),
         "variant": VARIANT,
         "device": device,
         "seconds": repr(time.perf_counter() - started),
         "peak_memory_mb": repr(peak_memory_mb()),
     }
     run = replace(run, result=result, reports=tuple(stages.reports), history=tuple(stages.history))
-    record(run, Job(config, path, run.config_yaml, facts), video, footage)
+    record(run, path, config.human_points, video, footage)
     return path
 
 
@@ -92,8 +93,8 @@ def plan_of(config: Config, clip: Clip, caption: str, likeness: float) -> Plan:
         Step("free_motion", "closed form", "free fall or a straight line until something touches the object"),
         Step("contact", "distance", "the test of all runs; the object takes the velocity of what touched it"),
     ]
-    if isinstance(config.render, VideoConf):
-        steps.append(Step("render", config.render.backend.value, "asked for"))
+    if backend := make_plan(config).implementation("render"):
+        steps.append(Step("render", backend, "asked for"))
     return Plan(VARIANT, tuple(steps), (), ())
 
 

@@ -4,17 +4,18 @@ import argparse
 import sys
 from pathlib import Path
 
-from analysis.ingest import meshes
 from hoi.errors import InputError, RunError
 from hoi.runner.arguments import Parser
 from hoi.runner.interrupt import interruptible
 
+from . import meshes
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        prog="python -m analysis.ingest",
+        prog=f"python -m {__package__}",
         description="One output of another system, a video or meshes or both, becomes a record to compare with.",
-        epilog="example: python -m analysis.ingest --scene kick_soccer_ball --system Other --video other.mp4",
+        epilog="example: %(prog)s --scene kick_soccer_ball --system Other --video other.mp4",
     )
     add = parser.add_argument
     add("--scene", required=True, help="of conf/scene: its object's material, gravity, prompts and expected limb")
@@ -41,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """The exit code: 0 done, 2 bad input, 3 the disk is full or broken."""
     options = _parser().parse_args(arguments)
-    from analysis.ingest.run import ingest
+    from .run import ingest
 
     try:
         path = ingest(options)

@@ -85,7 +85,7 @@ def checked(mesh: MeshSequence, path: Path) -> MeshSequence:
 
 
 def _glb(path: Path, node: str | None, fps: float) -> MeshSequence:
-    from analysis.ingest.gltf import Animated
+    from .gltf import Animated
 
     file = Animated(path)
     parts = file.below(node)

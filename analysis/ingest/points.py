@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from analysis.ingest.meshes import MeshSequence
 from hoi.data import Array, GaussianCloud, Material, SceneObject
 from hoi.errors import InputError
 from hoi.gaussians import sh_from_colours
 from hoi.objects.filling import fill_cloud, fill_mesh
+
+from .meshes import MeshSequence
 
 SKIN_POINTS, SURFACE_POINTS = 6000, 12_000
 GREY = 0.7

@@ -11,20 +11,21 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from analysis.ingest import meshes
-from analysis.ingest.contact import centre_of_mass_path, find_contact, velocity
-from analysis.ingest.points import SKIN_POINTS, in_our_world, object_of, tracked_points, triangle_areas
-from analysis.ingest.videos import read_video
 from hoi.body.skeleton import JOINT_COUNT
-from hoi.config import CONF, Ablation, Config, ImpulseConf, register
+from hoi.config import CONF, Ablation, Config, register
 from hoi.config.validate import to_config
 from hoi.data import Array, Body, ContactSearch, GaussianCloud, ObjectTrajectory, Plan, Run, Scene, State, Step
 from hoi.errors import InputError
-from hoi.method.scene import planes_of
 from hoi.plan import format_plan, material_of
 from hoi.record import write
 from hoi.render.encode import write_mp4
 from hoi.runner.provenance import provenance
+from hoi.runner.scene import planes_of
+
+from . import meshes
+from .contact import centre_of_mass_path, find_contact, velocity
+from .points import SKIN_POINTS, in_our_world, object_of, tracked_points, triangle_areas
+from .videos import read_video
 
 EXPERIMENT = "baseline"
 PHASE = "ingested"
@@ -175,7 +176,6 @@ def _physical(
     config: Config, person: meshes.MeshSequence, thing: meshes.MeshSequence, options: argparse.Namespace
 ) -> Meshes:
     scene_conf, contact = config.scene, config.stage.contact
-    assert isinstance(contact, ImpulseConf)  # the default
     skin, colours = tracked_points(person, SKIN_POINTS, config.seed)
     seen, positions = object_of(thing, config.object.name, material_of(config.material), config.seed)
     com = centre_of_mass_path(thing.vertices, thing.faces, triangle_areas(thing))
@@ -187,7 +187,7 @@ def _physical(
             positions[:, : len(seen.cloud)],
             com,
             scene_conf.fps,
-            distance=options.distance or contact.distance,
+            distance=options.distance or contact.d_contact,
             mass=mass,
             restitution=seen.material.restitution,
         )

@@ -14,9 +14,9 @@ from hoi.errors import InputError, RunError
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.learned",
+        prog=f"python -m {__package__}",
         description="Learned scores of the videos of a folder of runs.",
-        epilog="example: python -m analysis.learned runs",
+        epilog="example: %(prog)s runs",
     )
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="holds run.mcap files, at any depth")
@@ -43,9 +43,9 @@ def _run(options: argparse.Namespace) -> bool:
         raise InputError("give --viclip FILE, --vqa FOLDER or both: there are no scores without weights")
     import torch
 
-    from analysis.learned.score import ModelFiles, find_records, score
-    from analysis.learned.viclip import find_viclip
-    from analysis.learned.vqa import QUESTION, find_vqa
+    from .score import ModelFiles, find_records, score
+    from .viclip import find_viclip
+    from .vqa import QUESTION, find_vqa
 
     models: dict[str, ModelFiles] = {}
     if options.viclip is not None:

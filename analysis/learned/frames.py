@@ -10,10 +10,11 @@ import numpy as np
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
-from analysis import records
-from analysis.records import Record
 from hoi import record
 from hoi.errors import InputError
+
+from .. import records
+from ..records import Record
 
 Pixels = NDArray[np.uint8]
 PROMPTS = ("scene_prompt", "motion_prompt")

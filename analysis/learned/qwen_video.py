@@ -11,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from analysis.learned.frames import Pixels
 from hoi.errors import InputError
+
+from .frames import Pixels
 
 CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 LEAST_FRAMES, MOST_FRAMES = 4, 768

@@ -9,12 +9,13 @@ from typing import Protocol
 
 import torch
 
-from analysis import records
-from analysis.learned import sidecar
-from analysis.learned.frames import Clip, load
-from analysis.learned.sidecar import SCORES, Sidecar, sidecar_path
 from hoi.errors import InputError, RunError
 from hoi.record import message_digest
+
+from .. import records
+from . import sidecar
+from .frames import Clip, load
+from .sidecar import SCORES, Sidecar, sidecar_path
 
 
 class ModelFiles(Protocol):

@@ -12,12 +12,13 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from analysis.learned.clip_text import TOKEN_FILES, ClipTokens, find_vocabulary, load_tokens
-from analysis.learned.files import check_memory, files_sha256
-from analysis.learned.frames import Clip, Pixels
-from analysis.learned.viclip_model import HEAD, Sizes, ViCLIP
 from hoi.errors import InputError
 from hoi.motion.text import file_sha256
+
+from .clip_text import TOKEN_FILES, ClipTokens, find_vocabulary, load_tokens
+from .files import check_memory, files_sha256
+from .frames import Clip, Pixels
+from .viclip_model import HEAD, Sizes, ViCLIP
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SCORED = {"viclip": "scene_prompt", "viclip_motion": "motion_prompt"}

@@ -8,11 +8,12 @@ from typing import Any
 
 import torch
 
-from analysis.learned.files import check_memory, files_sha256
-from analysis.learned.frames import Clip
-from analysis.learned.qwen_video import Cells, Sampling, VideoPatches, cut
 from hoi.errors import InputError, RunError
 from hoi.video_prior.files import in_hub_cache
+
+from .files import check_memory, files_sha256
+from .frames import Clip
+from .qwen_video import Cells, Sampling, VideoPatches, cut
 
 QUESTION = "Is the interaction physically plausible overall?"
 """The paper's."""

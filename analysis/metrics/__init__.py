@@ -5,7 +5,7 @@ particles in the same way for every system; what a run says of itself is used on
 (t_c, j_c, V_post, seconds). A number that a run does not define is NaN, never 0.
 """
 
-from analysis.metrics.contact import (
+from .contact import (
     closing_speed,
     contact_gap,
     expected_limb,
@@ -16,9 +16,9 @@ from analysis.metrics.contact import (
     touched,
     touching_fraction,
 )
-from analysis.metrics.cost import STAGES, left_out, peak_memory, seconds, stage_seconds
-from analysis.metrics.evaluator import naturalness, text_alignment
-from analysis.metrics.flight import (
+from .cost import STAGES, left_out, peak_memory, seconds, stage_seconds
+from .evaluator import naturalness, text_alignment
+from .flight import (
     ballistic_residual,
     bend,
     causality_error,
@@ -27,8 +27,8 @@ from analysis.metrics.flight import (
     ghosting,
     object_path,
 )
-from analysis.metrics.metric import Metric
-from analysis.metrics.penetration import (
+from .metric import Metric
+from .penetration import (
     feet_ground_depth,
     feet_ground_volume,
     object_ground_depth,
@@ -36,7 +36,7 @@ from analysis.metrics.penetration import (
     person_object_depth,
     person_object_volume,
 )
-from analysis.metrics.person import foot_skating, jerk, joint_limits
+from .person import foot_skating, jerk, joint_limits
 
 CONTACT, OBJECT, PERSON, COST = "Contact", "Object", "Person", "Cost"
 

@@ -1,6 +1,6 @@
 """The metrics as a table for docs/benchmark.md: `python -m analysis.metrics`."""
 
-from analysis.metrics import GROUPS, METRICS
+from . import GROUPS, METRICS
 
 
 def table() -> str:

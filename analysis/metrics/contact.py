@@ -5,13 +5,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.metrics.meeting import Meeting, Shape, d_contact, meeting
-from analysis.metrics.metric import NAN
-from analysis.posing import interpolate
-from analysis.records import Record
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Contact
 from hoi.refine.fidelity import object_at
+
+from ..posing import interpolate
+from ..records import Record
+from .meeting import Meeting, Shape, d_contact, meeting
+from .metric import NAN
 
 
 def push_of(record: Record) -> Contact | None:

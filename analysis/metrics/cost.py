@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from analysis.metrics.metric import NAN
-from analysis.records import Record
+from ..records import Record
+from .metric import NAN
 
 STAGES = ("free motion", "motion", "coordinate", "contact", "resimulate", "refine", "render")
 

@@ -16,14 +16,16 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from scipy.special import erf
 
-from analysis.metrics.features import encode
-from analysis.metrics.metric import NAN
-from analysis.posing import local_rotations
-from analysis.records import Record
+import hoi
 from hoi.data import Array
 from hoi.errors import InputError
 
-WEIGHTS = Path(__file__).parents[2] / "hoi" / "motion" / "weights"
+from ..posing import local_rotations
+from ..records import Record
+from .features import encode
+from .metric import NAN
+
+WEIGHTS = Path(hoi.__file__).parent / "motion" / "weights"
 PROMPTS = Path(__file__).parent / "prompts.npz"
 FORMAT = "hoi motion evaluator 1"
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from analysis.posing import forward_kinematics
 from hoi.data import Array
+
+from ..posing import forward_kinematics
 
 
 def encode(local: Array, translation: Array, rest_joints: Array) -> Array:

@@ -4,11 +4,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.metrics.contact import first_touch, frames_around, push_of, push_span
-from analysis.metrics.metric import NAN
-from analysis.metrics.penetration import height_above
-from analysis.records import Record
 from hoi.data import Array
+
+from ..records import Record
+from .contact import first_touch, frames_around, push_of, push_span
+from .metric import NAN
+from .penetration import height_above
 
 NEAR = 0.125
 """An object whose lowest point is nearer to a plane than this, in its sizes, may be held by it: two cells of the MPM's

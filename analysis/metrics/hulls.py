@@ -54,6 +54,6 @@ def hull_of(joint: int, points: Array) -> Hull | None:
 
 def hulls_of(body: Body, joints: tuple[int, ...]) -> list[Hull]:
     """Those of the joints that have one."""
-    dominant = body.skinning_weights.argmax(axis=1)
+    dominant = body.dominant_joints
     hulls = (hull_of(joint, body.cloud.means[dominant == joint]) for joint in joints)
     return [hull for hull in hulls if hull is not None]

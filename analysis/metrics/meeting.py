@@ -11,12 +11,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.posing import interpolate
-from analysis.records import Record
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array, SceneObject
 from hoi.refine.fidelity import SUBFRAMES, object_at
 from hoi.refine.surface import Surface, surface_of
+
+from ..posing import interpolate
+from ..records import Record
 
 REACH = 0.02
 """Skin farther than this from the box around the object is not looked at [m]."""

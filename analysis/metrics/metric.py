@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from analysis.records import Record
+from ..records import Record
 
 NAN = float("nan")
 

@@ -2,15 +2,16 @@
 
 import numpy as np
 
-from analysis.metrics.contact import push_of
-from analysis.metrics.hulls import hulls_of
-from analysis.metrics.meeting import meeting
-from analysis.metrics.metric import NAN
-from analysis.posing import interpolate, joint_frames
-from analysis.records import Record
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Plane
 from hoi.refine.fidelity import object_at
+
+from ..posing import interpolate, joint_frames
+from ..records import Record
+from .contact import push_of
+from .hulls import hulls_of
+from .meeting import meeting
+from .metric import NAN
 
 FEET = LIMBS["feet"]
 LITRE = 1e-3

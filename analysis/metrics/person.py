@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from analysis.metrics.metric import NAN
-from analysis.records import Record
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array
+
+from ..records import Record
+from .metric import NAN
 
 TOES = (10, 11)
 DOWN = 0.03

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from analysis.metrics.evaluator import PROMPTS
 from hoi.config import CONF
+
+from .evaluator import PROMPTS
 
 
 def scene_prompts(folder: Path = CONF / "scene") -> list[str]:

@@ -14,18 +14,18 @@ strike's limb, speed and skating) and motion.md with both tables. Exit codes: 0 
     bones      largest relative error of a bone's length, after decoding
 """
 
-import argparse
 import sys
 from pathlib import Path
 
-from hoi.errors import InputError
+from .. import command
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.motion",
-        description="How good a motion prior is: its motions and real clips, measured alike.",
-        epilog="example: python -m analysis.motion --data clips -o runs/motion",
+@command.exit_code("analysis.motion")
+def main() -> None:
+    parser = command.parser(
+        "analysis.motion",
+        "How good a motion prior is: its motions and real clips, measured alike.",
+        "--data clips -o runs/motion",
     )
     parser.add_argument("--data", type=Path, required=True, help="folder of .npz clip files and captions.json")
     parser.add_argument("--prior", type=Path, action="append", help="beside the one shipped; may be given again")
@@ -39,25 +39,14 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/motion"), help="folder for the tables")
-    return parser
-
-
-def main() -> int:
-    options = parser().parse_args()
+    options = parser.parse_args()
     import torch
 
-    from analysis.motion.compare import study
-    from analysis.motion.report import write
+    from .compare import study
+    from .report import write
 
     torch.set_num_threads(options.threads)
-    try:
-        table, strikes = study(options)
-        for path in write(options.out, table, strikes, options):
-            print(path)
-    except (InputError, OSError) as error:
-        print(f"analysis.motion: {error}", file=sys.stderr)
-        return 2
-    return 0
+    print(*write(options.out, *study(options), options), sep="\n")
 
 
 if __name__ == "__main__":

@@ -11,9 +11,6 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from analysis.motion import measures, sources
-from analysis.motion.measures import LIMBS
-from analysis.motion.sources import Case, Source
 from hoi.body.kinematics import joint_positions
 from hoi.body.skeleton import PARENTS
 from hoi.errors import InputError
@@ -22,6 +19,10 @@ from hoi.motion.features import decode, encode
 from hoi.motion.prior import load_prior
 from hoi.training.motion.dataset import FPS, TrainingSet
 from hoi.training.motion.training import read_split
+
+from . import measures, sources
+from .measures import LIMBS
+from .sources import Case, Source
 
 REAL = "held-out clips"
 

@@ -5,19 +5,20 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.precision.report import facts, markdown_list, markdown_table
+from .. import sheets
 
 
 def write(folder: Path, table: pd.DataFrame, strikes: pd.DataFrame, options: argparse.Namespace) -> list[Path]:
     """The three files, in `folder`, which is made when it is not there."""
     folder.mkdir(parents=True, exist_ok=True)
-    noted = facts(options.threads) | {"seed": str(options.seed)}
+    noted = sheets.facts(options.threads) | {"seed": str(options.seed)}
     paths = [folder / name for name in ("motion.csv", "strikes.csv", "motion.md")]
     table.assign(**noted).to_csv(paths[0], index=False)
     strikes.assign(**noted).to_csv(paths[1], index=False)
-    parts = ["# Motion priors against real clips", markdown_list(noted)]
-    parts += ["## Held-out sentences", _table(table), "## Strikes", _table(_side_by_side(strikes))]
-    paths[2].write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    parts = ["# Motion priors against real clips", sheets.markdown_list(noted)]
+    for title, shown in (("Held-out sentences", table), ("Strikes", _side_by_side(strikes))):
+        parts += [f"## {title}", sheets.markdown_table(shown.to_dict("records"))]
+    paths[2].write_text(sheets.markdown(parts), encoding="utf-8")
     return paths
 
 
@@ -33,11 +34,3 @@ def _side_by_side(strikes: pd.DataFrame) -> pd.DataFrame:
     wide = cells.pivot(index="strike", columns="motions", values="cell")
     wide = wide.loc[strikes["strike"].unique(), strikes["motions"].unique()]
     return wide.reset_index()
-
-
-def _table(table: pd.DataFrame) -> str:
-    rows = [
-        [f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()]
-        for row in table.to_dict("records")
-    ]
-    return markdown_table([list(table.columns), *rows])

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from analysis.motion.measures import LIMBS, SIDES
 from hoi.motion.diffusion import ancestral_sample, ddim_sample
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.prior import MotionPrior
 from hoi.training.motion.dataset import FRAMES, TrainingSet
+
+from .measures import LIMBS, SIDES
 
 POOL = 32
 BATCH = 32

@@ -13,14 +13,17 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from hoi.errors import InputError, RunError
+from hoi.errors import InputError
+
+from .. import command
 
 if TYPE_CHECKING:
-    from analysis.precision.pictures import View
-    from analysis.precision.problems import Problem
+    from .pictures import View
+    from .problems import Problem
 
 DEFAULT_OUT = Path("runs/precision")
 CONTACTS = "contacts"
@@ -28,39 +31,27 @@ STARTS = ".starts"
 """Hidden: the runs that contacts are refined from are none of the table's."""
 
 
-class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        print(f"analysis.precision: {message}", file=sys.stderr)
-        sys.exit(2)
+def refuse(message: str) -> NoReturn:
+    raise InputError(message)
 
 
+@command.exit_code("analysis.precision")
 def main() -> None:
-    parser = Parser(
-        prog="python -m analysis.precision",
-        description="Error against run time, of physics, renderer and stage 3: tables, reports, pictures.",
-        epilog="example: python -m analysis.precision --problems physics --quick",
+    parser = command.parser(
+        "analysis.precision",
+        "Error against run time, of physics, renderer and stage 3: tables, reports, pictures.",
+        "--problems physics --quick",
     )
+    parser.error = refuse  # in one line, without the usage
     parser.add_argument("-o", "--out", type=Path, default=DEFAULT_OUT, help=f"folder (default {DEFAULT_OUT})")
     parser.add_argument("--problems", help="names, physics, renderer or contacts, separated by commas")
     parser.add_argument("--quick", action="store_true", help="few and small variants of two problems and of pictures")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each short variant (default 3)")
     parser.add_argument("--threads", type=int, default=1, help="of each run (default 1)")
     arguments = parser.parse_args()
-    try:
-        _study(arguments)
-    except (InputError, OSError) as error:
-        parser.error(str(error))
-    except RunError as error:
-        print(f"analysis.precision: {error}", file=sys.stderr)
-        sys.exit(3)
-
-
-def _study(arguments: argparse.Namespace) -> None:
-    from analysis.precision.pictures import VIEWS
-    from analysis.precision.problems import EXACT
-    from analysis.precision.scenes import SCENES
+    from .pictures import VIEWS
+    from .problems import EXACT
+    from .scenes import SCENES
 
     cores = os.cpu_count() or 1
     if arguments.repeats < 1:
@@ -78,64 +69,69 @@ def _study(arguments: argparse.Namespace) -> None:
     if unknown:
         raise InputError(f"--problems must be of {', '.join([*groups, *known])}, got {', '.join(unknown)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    if chosen := [problems[name] for name in names if name in problems]:
-        _physics(arguments, [make() for make in chosen], cores)
-    if chosen := [views[name] for name in names if name in views]:
-        _renderer(arguments, [make(arguments.quick) for make in chosen])
-    if CONTACTS in names:
-        _contacts(arguments)
+    for study, chosen in (
+        (_physics, [problems[name] for name in names if name in problems]),
+        (_renderer, [views[name] for name in names if name in views]),
+        (_contacts, [CONTACTS] if CONTACTS in names else []),
+    ):
+        if chosen:
+            began = time.perf_counter()
+            said, done, paths = study(arguments, chosen)
+            print(*said, f"{done} in {time.perf_counter() - began:.0f} s", *paths, sep="\n")
 
 
-def _physics(arguments: argparse.Namespace, problems: "list[Problem]", cores: int) -> None:
-    from analysis.precision import convergence, report, run
+Study = tuple[list[str], str, list[Path]]
+"""What to say of it, what was done, the files."""
 
-    began = time.perf_counter()
+
+def _physics(arguments: argparse.Namespace, chosen: "Sequence[Callable[[], Problem]]") -> Study:
+    from .. import sheets
+    from . import convergence, report, run
+
+    problems = [make() for make in chosen]
     orders = convergence.manufactured(arguments.quick) if "waves" in [problem.name for problem in problems] else []
     table = run.study(
-        problems, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads, cores=cores
+        problems, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads, cores=os.cpu_count() or 1
     )
     orders += convergence.by_grid(table)
-    paths = report.write(arguments.out, problems, table, orders, report.facts(arguments.threads))
-    for order in orders:
-        print(f"order    {order.series} ({order.quantity}): {order.observed:.2f} {order.verdict}")
-    print(f"{len(table)} runs in {time.perf_counter() - began:.0f} s")
-    print(*paths, sep="\n")
+    paths = report.write(arguments.out, problems, table, orders, sheets.facts(arguments.threads))
+    said = [f"order    {order.series} ({order.quantity}): {order.observed:.2f} {order.verdict}" for order in orders]
+    return said, f"{len(table)} runs", paths
 
 
-def _renderer(arguments: argparse.Namespace, views: "list[View]") -> None:
-    from analysis.precision import picture_report, pictures, report
+def _renderer(arguments: argparse.Namespace, chosen: "Sequence[Callable[[bool], View]]") -> Study:
+    from .. import sheets
+    from . import picture_report, pictures
 
-    began = time.perf_counter()
+    views = [make(arguments.quick) for make in chosen]
     table, off, truths = pictures.study(
         views, quick=arguments.quick, repeats=arguments.repeats, threads=arguments.threads
     )
-    paths = picture_report.write(arguments.out, views, table, off, truths, report.facts(arguments.threads))
-    for name, difference in off.items():
-        print(f"{name:8} float64 against brute force: {difference:.1e} {picture_report.verdict(difference)}")
-    print(f"{len(table)} ways to make a picture in {time.perf_counter() - began:.0f} s")
-    print(*paths, sep="\n")
+    paths = picture_report.write(arguments.out, views, table, off, truths, sheets.facts(arguments.threads))
+    said = [
+        f"{name:8} float64 against brute force: {difference:.1e} {picture_report.verdict(difference)}"
+        for name, difference in off.items()
+    ]
+    return said, f"{len(table)} ways to make a picture", paths
 
 
-def _contacts(arguments: argparse.Namespace) -> None:
-    from analysis.precision import contact_report, contacts, report
+def _contacts(arguments: argparse.Namespace, _: "Sequence[str]") -> Study:
+    from .. import sheets
+    from . import closeups, contact_report, contacts
 
-    began = time.perf_counter()
+    folder, threads = arguments.out / STARTS, arguments.threads
     scenes, seeds = (
         (contacts.QUICK_SCENES, contacts.QUICK_SEEDS) if arguments.quick else (contacts.SCENES, contacts.SEEDS)
     )
-    table = contacts.study(arguments.out / STARTS, scenes, seeds, arguments.threads, arguments.quick)
-    paths = contact_report.write(arguments.out, table, report.facts(arguments.threads))
+    table = contacts.study(folder, scenes, seeds, threads, arguments.quick)
+    paths = contact_report.write(arguments.out, table, sheets.facts(threads))
     if not arguments.quick:
-        from analysis.precision import closeups
-
-        shown = contacts.starts(arguments.out / STARTS, closeups.SCENES, seeds, arguments.threads)
+        shown = contacts.starts(folder, closeups.SCENES, seeds, threads)
         first = [start for start in shown if start.setting == "paper" and start.seed == 0]
         best = [way for way in contacts.ways() if way.name in closeups.WAYS]
-        closeups.draw(first, best, arguments.out / "closeups.png")
-        paths.append(arguments.out / "closeups.png")
-    print(f"{len(table)} contacts refined in {time.perf_counter() - began:.0f} s")
-    print(*paths, sep="\n")
+        paths.append(closeups.draw(first, best, arguments.out / "closeups.png"))
+    return [], f"{len(table)} contacts refined", paths
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

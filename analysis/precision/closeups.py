@@ -5,23 +5,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib import pyplot as plt
 
-from analysis.precision.contacts import Start, Way
-from analysis.precision.report import INK, MUTED
-from analysis.reach import config_of, quiet
+from hoi.config.compose import config_of
 from hoi.data import Array, Motion
-from hoi.method.refine_stage import refine
 from hoi.refine.views import Framing, background, viewpoint
 from hoi.render.cameras import Camera
 from hoi.render.rasterise import rasterise
 from hoi.render.replay import replay
 from hoi.render.splats import join
+from hoi.reports import quiet
+
+from ..charts import INK, MUTED
+from .contacts import Start, Way
 
 SCENES = ("kick_soccer_ball", "punch_blue_ball", "jab_beach_ball")
 WAYS = ("geometric, 60 iterations", "embedded", "embedded + geometric")
@@ -33,24 +31,21 @@ SIZE = 320
 
 def closeup(start: Start, motion: Motion, camera: Camera) -> Array:
     """RGB (height, width, 3) of the whole frame nearest to t_c, with the start's motion replaced."""
-    push = start.run.state.contact.push if start.run.state.contact else None
-    assert push is not None
     shown = replay(replace(start.run, state=replace(start.run.state, motion=motion)))
     with torch.no_grad():
-        picture = rasterise(join(shown.parts(math.floor(push.frame + 0.5))), camera, background(camera))
+        picture = rasterise(join(shown.parts(math.floor(start.push.frame + 0.5))), camera, background(camera))
     return picture.colour.clamp(0, 1).numpy()
 
 
 def across(start: Start) -> Camera:
     """The view across the strike, with the point of contact in its middle."""
-    push = start.run.state.contact.push if start.run.state.contact else None
-    assert push is not None
+    push = start.push
     azimuth = math.atan2(push.normal[1], push.normal[0]) + math.pi / 2
     return viewpoint(Framing(np.asarray(push.point, np.float64), RADIUS), azimuth, width=SIZE, height=SIZE)
 
 
-def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
-    """A row a start, a column a way, before the first one what it was.
+def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> Path:
+    """A row a start, a column a way, before the first one what it was; the path.
 
     Raises:
         InputError: a prior's weights are missing or damaged.
@@ -65,8 +60,8 @@ def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
         pictures = [(closeup(start, motion, camera), f"{start.scene}, before")]
         for way in ways:
             stage = quiet("refine")
-            config = config_of([*start.overrides, *way.overrides])
-            refined = refine(scene, start.run.state, config, "cpu", stage)
+            config = config_of("render=none", *start.overrides, *way.overrides)
+            refined = config.stage.refine.refine(scene, start.run.state, config, "cpu", stage)
             numbers = stage.numbers
             before, after = (1e3 * numbers.get(f"penetration_{when}", np.nan) for when in ("before", "after"))
             pictures[0] = (pictures[0][0], f"{start.scene}: {before:.0f} mm deep")
@@ -79,3 +74,4 @@ def draw(starts: Sequence[Start], ways: Sequence[Way], path: Path) -> None:
     figure.supxlabel("deepest in the window, gap at t_c; pictures at the whole frame nearest to t_c", color=MUTED)
     figure.savefig(path)
     plt.close(figure)
+    return path

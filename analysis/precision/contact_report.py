@@ -2,16 +2,13 @@
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import pandas as pd
+from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from analysis.precision.errors import pareto_front
-from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
+from .. import charts, sheets
+from ..charts import GRID, INK, MUTED
+from .errors import pareto_front
 
 KINDS = {
     "none": ("#22262b", "o"),
@@ -38,46 +35,34 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def write(folder: Path, table: pd.DataFrame, noted: dict[str, str]) -> list[Path]:
-    """The three files, in `folder`, which is made when it is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"contacts.{ending}" for ending in ("csv", "md", "png")]
-    table.assign(**noted).to_csv(paths[0], index=False)
-    paths[1].write_text(markdown(table, noted), encoding="utf-8")
-    draw(table, paths[2])
-    return paths
+    """The three files, as `analysis.sheets.write`."""
+    return sheets.write(folder, "contacts", table, noted, markdown(table, noted), lambda path: draw(table, path))
 
 
 def markdown(table: pd.DataFrame, noted: dict[str, str]) -> str:
     """The report as text."""
-    parts = [f"# {TITLE}", markdown_list(noted)]
+    parts = [f"# {TITLE}", sheets.markdown_list(noted)]
     for setting, rows in summarise(table).groupby("setting", sort=False):
-        parts += [f"## {setting}", _rows(rows)]
-    return "\n\n".join(parts) + "\n"
+        parts += [f"## {setting}", sheets.markdown_table([_cells(row) for row in rows.to_dict("records")])]
+    return sheets.markdown(parts)
 
 
-def _rows(rows: pd.DataFrame) -> str:
-    heads = ["way", "n", "seconds", "deepest [mm]", "shallower", "touching [%]", "gap [mm]", "strange", "stopped"]
-    lines = [heads]
-    for row in rows.to_dict("records"):
-        spread = {name: (row[name], row[f"{name} sd"]) for name in ("penetration", "touching", "gap", "strange")}
-        lines.append(
-            [
-                str(row["way"]),
-                str(row["n"]),
-                f"{row['seconds']:.1f}",
-                _with_spread(*spread["penetration"], 1e3, 1),
-                str(int(row["shallower"])),
-                _with_spread(*spread["touching"], 1e2, 0),
-                _with_spread(*spread["gap"], 1e3, 1),
-                _with_spread(*spread["strange"], 1, 3),
-                str(int(row["stopped"])),
-            ]
-        )
-    return markdown_table(lines)
+def _cells(row: dict) -> dict[str, object]:
+    return {
+        "way": row["way"],
+        "n": row["n"],
+        "seconds": f"{row['seconds']:.1f}",
+        "deepest [mm]": _with_spread(row, "penetration", 1e3, 1),
+        "shallower": int(row["shallower"]),
+        "touching [%]": _with_spread(row, "touching", 1e2, 0),
+        "gap [mm]": _with_spread(row, "gap", 1e3, 1),
+        "strange": _with_spread(row, "strange", 1, 3),
+        "stopped": int(row["stopped"]),
+    }
 
 
-def _with_spread(mean: float, deviation: float, unit: float, digits: int) -> str:
-    return f"{unit * mean:.{digits}f} ± {unit * deviation:.{digits}f}"
+def _with_spread(row: dict, name: str, unit: float, digits: int) -> str:
+    return f"{unit * row[name]:.{digits}f} ± {unit * row[f'{name} sd']:.{digits}f}"
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
@@ -115,8 +100,7 @@ def _panel(ax: Axes, rows: pd.DataFrame, name: str, label: str) -> None:
         best = pd.DataFrame(rows[pareto_front(rows["x"].to_numpy(), rows["y"].to_numpy())]).sort_values("x")
         ax.step(best["x"], best["y"], where="post", color=INK, lw=0.8, zorder=0)
     ax.set(xscale="log", xlabel="seconds of stage 3", ylabel=label)
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    charts.plain_numbers(ax.xaxis, steps=False)
     ax.set_ylim(bottom=0)
     ax.grid(True, color=GRID)
     ax.tick_params(colors=MUTED, labelsize=8)

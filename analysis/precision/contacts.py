@@ -16,16 +16,15 @@ import numpy as np
 import pandas as pd
 import torch
 
-from analysis.reach import config_of, quiet
-from hoi.config import Config, HMSDConf
-from hoi.data import Motion, Run
+from hoi.config import Config
+from hoi.config.compose import config_of
+from hoi.data import Contact, Motion, Run
 from hoi.errors import RunError
 from hoi.method.hmsd import PoseParameters
-from hoi.method.refine_stage import refine
-from hoi.method.synthesis import load_distillation
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.prior import load_prior
 from hoi.record import read
+from hoi.reports import quiet
 
 SETTINGS = {
     "laptop": (),
@@ -60,6 +59,13 @@ class Start:
     seed: int
     run: Run
     overrides: tuple[str, ...]
+
+    @property
+    def push(self) -> Contact:
+        """The contact that matters; there must be one."""
+        push = self.run.state.contact.push if self.run.state.contact else None
+        assert push is not None
+        return push
 
 
 def ways(quick: bool = False) -> list[Way]:
@@ -106,8 +112,8 @@ class Naturalness:
         self._evaluator, self._prior = load_evaluator(), load_prior()
 
     def __call__(self, start: Start, config: Config, motion: Motion) -> float:
-        assert start.run.scene is not None and isinstance(config.stage.motion, HMSDConf)
-        distillation = load_distillation(start.run.scene, config.stage.motion, "cpu", False)
+        assert start.run.scene is not None
+        distillation = config.stage.motion.prior(start.run.scene, "cpu", False)
         with torch.no_grad():
             features = self._prior.denormalise(distillation.features(PoseParameters.of([motion])))
         return float(self._evaluator.strangeness(features)[0])
@@ -128,7 +134,8 @@ def study(folder: Path, scenes: Sequence[str], seeds: int, threads: int, quick: 
         before: dict[str, float] = {}
         strange = float("nan")
         for way in sorted(ways(quick), key=lambda way: way.kind == "none"):
-            config = config_of([*start.overrides, *way.overrides])
+            config = config_of("render=none", *start.overrides, *way.overrides)
+            refine = config.stage.refine.refine
             stage, began = quiet("refine"), time.perf_counter()
             refined = motion if way.kind == "none" else refine(scene, start.run.state, config, "cpu", stage)
             seconds = 0.0 if way.kind == "none" else time.perf_counter() - began

@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from analysis.precision.errors import observed_order
-from analysis.precision.problems import Problem, waves
-from analysis.precision.run import Variant, judge, run
 from hoi.mpm.solver import Spline
+
+from .errors import observed_order
+from .problems import Problem, waves
+from .run import Variant, judge, run
 
 TOLERANCE = 0.2
 """By how much an observed order may miss the theory's."""

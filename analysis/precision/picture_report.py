@@ -3,20 +3,17 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from analysis.precision.pictures import COVERED, REFERENCE_SHARE, View
-from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
 from hoi.render.splats import Picture
+
+from .. import charts, sheets
+from ..charts import INK, MUTED
+from .pictures import COVERED, REFERENCE_SHARE, View
 
 KINDS = {
     "harmonics": ("#2f855a", "^", "SH degree", "right"),
@@ -52,13 +49,12 @@ def write(
     truths: Mapping[str, Picture],
     noted: dict[str, str],
 ) -> list[Path]:
-    """The three files, in `folder`, which is made when it is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"rendering.{ending}" for ending in ("csv", "md", "png")]
-    table.assign(disagreement=[disagreement[name] for name in table["scene"]], **noted).to_csv(paths[0], index=False)
-    paths[1].write_text(markdown(views, table, disagreement, noted), encoding="utf-8")
-    draw(views, table, truths, noted, paths[2])
-    return paths
+    """The three files, as `analysis.sheets.write`."""
+    measured = table.assign(disagreement=[disagreement[name] for name in table["scene"]])
+    text = markdown(views, table, disagreement, noted)
+    return sheets.write(
+        folder, "rendering", measured, noted, text, lambda path: draw(views, table, truths, noted, path)
+    )
 
 
 def verdict(disagreement: float) -> str:
@@ -73,36 +69,36 @@ def markdown(
     views: Sequence[View], table: pd.DataFrame, disagreement: Mapping[str, float], noted: dict[str, str]
 ) -> str:
     """The report as text."""
-    parts = [f"# {TITLE}", markdown_list(noted)]
-    parts.append(
+    truth = (
         "Truth: float64, exact exponential, nothing left out. RMS and PSNR are over the pixels of which Gaussians "
         f"cover {COVERED:.0%} or more, the largest error is of all; colours go from 0 to 1."
     )
+    parts = [f"# {TITLE}", sheets.markdown_list(noted), truth]
     for view in views:
-        rows = pd.DataFrame(table[table["scene"] == view.name])
         camera, off = view.camera, disagreement[view.name]
-        parts.append(f"## {view.name}: {view.title}")
-        parts.append(
-            markdown_list(
-                {
-                    "Gaussians": f"{len(view.splats)}",
-                    "picture": f"{camera.width} x {camera.height}",
-                    f"float64 against brute force, picture 1/{REFERENCE_SHARE} as wide": f"{off:.1e}, {verdict(off)}",
-                }
-            )
-        )
-        parts.append(_rows(rows))
-    return "\n\n".join(parts) + "\n"
+        about = {
+            "Gaussians": len(view.splats),
+            "picture": f"{camera.width} x {camera.height}",
+            f"float64 against brute force, picture 1/{REFERENCE_SHARE} as wide": f"{off:.1e}, {verdict(off)}",
+        }
+        rows = table.loc[table["scene"] == view.name].to_dict("records")
+        parts += [f"## {view.name}: {view.title}", sheets.markdown_list(about), sheets.markdown_table(_cells(rows))]
+    return sheets.markdown(parts)
 
 
-def _rows(rows: pd.DataFrame) -> str:
-    lines = [["variant", "ms", "least to most", "RMS", "PSNR [dB]", "largest", "front"]]
-    for row in rows.to_dict("records"):
-        median, least, most = (1e3 * row[name] for name in ("seconds", "fastest", "slowest"))
-        errors = [f"{row['error']:.2e}", f"{row['psnr']:.1f}", f"{row['largest']:.2e}"]
-        mark = "*" if row["front"] else ""
-        lines.append([row["variant"], f"{median:.1f}", f"{least:.1f} to {most:.1f}", *errors, mark])
-    return markdown_table(lines)
+def _cells(rows: list[dict]) -> list[dict[str, str]]:
+    return [
+        {
+            "variant": row["variant"],
+            "ms": f"{1e3 * row['seconds']:.1f}",
+            "least to most": f"{1e3 * row['fastest']:.1f} to {1e3 * row['slowest']:.1f}",
+            "RMS": f"{row['error']:.2e}",
+            "PSNR [dB]": f"{row['psnr']:.1f}",
+            "largest": f"{row['largest']:.2e}",
+            "front": "*" if row["front"] else "",
+        }
+        for row in rows
+    ]
 
 
 # --- picture ---------------------------------------------------------------------------------------------------------
@@ -125,14 +121,8 @@ def draw(
         worst.axhline(STEP, color=MUTED, lw=0.8, ls=":")
         worst.annotate("1/255", (1, STEP), xycoords=("axes fraction", "data"), xytext=(-2, 2), fontsize=7.5,
                        textcoords="offset points", color=MUTED, ha="right")  # fmt: skip
-    handles = [Line2D([], [], color=c, marker=m, ls="", ms=8, label=text) for c, m, text, _ in KINDS.values()]
-    handles.append(Line2D([], [], color=INK, lw=1.2, label="Pareto front"))
-    figure.legend(handles=handles, loc="lower center", ncols=8, frameon=False, fontsize=9.5)
-    figure.text(0.01, 1 - 0.1 / height, TITLE, fontsize=15, color=INK, va="top")
-    commit, _, dirty = noted["commit"].partition("+")
-    threads = "1 thread" if noted["threads"] == "1" else f"{noted['threads']} threads"
-    machine = f"{noted['machine']}; {threads}; taichi {noted['taichi']}; commit {commit[:14]} {dirty}"
-    figure.text(0.01, 1 - 0.45 / height, machine, fontsize=9, color=MUTED, va="top")
+    charts.legend(figure, KINDS.values(), columns=8)
+    charts.heading(figure, TITLE, noted, height)
     figure.tight_layout(rect=(0, 0.4 / height, 1, 1 - 0.7 / height), h_pad=2.0, w_pad=2.0)
     figure.savefig(path)
     plt.close(figure)
@@ -165,20 +155,11 @@ def _panel(ax: Axes, rows: pd.DataFrame, error: str, called: str) -> None:
         for row in chosen.to_dict("records"):
             ax.annotate(_short(row["variant"]), (row["ms"], row[error]), xytext=(x, y), textcoords="offset points",
                         color=colour, fontsize=7, ha=ha, va=va, zorder=5, path_effects=[HALO])  # fmt: skip
-    ax.set(xscale="log", yscale="log")
+    charts.log_log(ax, "milliseconds a picture", called)
+    charts.plain_numbers(ax.xaxis)
     times = rows["ms"].to_numpy()
     ax.set_xlim(0.8 * times.min(), 2.2 * times.max())
     ax.margins(y=0.1)
-    ax.set_ylabel(called, fontsize=9)
-    ax.set_xlabel("milliseconds a picture", fontsize=9)
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.grid(True, which="major", color=GRID, lw=0.8)
-    ax.set_axisbelow(True)
-    ax.tick_params(which="both", labelsize=8, colors=MUTED)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
 
 
 def _short(variant: str) -> str:
@@ -197,5 +178,4 @@ def _decibels(ax: Axes) -> None:
     right.set_ylim(-20 * np.log10(low), -20 * np.log10(high))
     right.set_ylabel("PSNR [dB]", fontsize=9)
     right.tick_params(labelsize=8, colors=MUTED)
-    for side in ("top", "right", "left"):
-        right.spines[side].set_visible(False)
+    right.spines[["top", "right", "left"]].set_visible(False)

@@ -13,13 +13,13 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from analysis.precision.errors import pareto_front
-from analysis.precision.run import GAIN, clock
-from analysis.splat_scenes import PERSON_GAUSSIANS, as_type, camera_on, default_parts, synthetic_cloud, torch_threads
 from hoi.compute import Precision
 from hoi.render.cameras import HEIGHT, WIDTH, Camera
 from hoi.render.rasterise import Settings, rasterise
 from hoi.render.splats import Picture, Splats, join, sh_degree
+
+from ..splat_scenes import PERSON_GAUSSIANS, as_type, camera_on, default_parts, synthetic_cloud, torch_threads
+from .run import clock, with_front
 
 DEFAULT = Settings()
 NOTHING_LEFT_OUT = Settings(least_alpha=1e-12, least_transmittance=0.0, exact=True)
@@ -153,10 +153,7 @@ def study(
                 say(f"{view.name:8} {variant.label:26} {1e3 * cost['seconds']:7.1f} ms  {errors['psnr']:6.1f} dB")
     order = [(view.name, variant.label) for view in views for variant in variants(sh_degree(view.splats), quick)]
     table = pd.DataFrame(sorted(rows, key=lambda row: order.index((row["scene"], row["variant"]))))
-    table["front"] = False
-    for _, group in table.groupby("scene"):
-        table.loc[group.index, "front"] = pareto_front(group["seconds"].to_numpy(), group["error"].to_numpy(), GAIN)
-    return table, off, truths
+    return with_front(table, "scene"), off, truths
 
 
 def _view(name: str, title: str, splats: Splats, quick: bool) -> View:

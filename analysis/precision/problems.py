@@ -19,12 +19,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import curve_fit
 
-from analysis.precision.bodies import ball, block
-from analysis.precision.hertz import contact_time, hertz_path, hertz_share
 from hoi.compute import Precision
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.mpm.rigid import Flight, fit
 from hoi.mpm.state import initial_state
+
+from .bodies import ball, block
+from .hertz import contact_time, hertz_path, hertz_share
 
 GRAVITY = (0.0, 0.0, -9.81)
 NOWHERE = (0.0, 0.0, 0.0)

@@ -9,9 +9,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from analysis.precision.bodies import vibration_tolerance
-from analysis.precision.errors import compare, pareto_front, probe_weights
-from analysis.precision.problems import FIELDS, Observed, Problem, picked
 from hoi.compute import Precision
 from hoi.data import Array, ObjectState
 from hoi.errors import RunError
@@ -20,6 +17,10 @@ from hoi.mpm.rigid import Flight, fit
 from hoi.mpm.solver import Simulation, Spline
 from hoi.mpm.stability import DEFAULT_FRACTION
 from hoi.mpm.state import centre_of_mass
+
+from .bodies import vibration_tolerance
+from .errors import compare, pareto_front, probe_weights
+from .problems import FIELDS, Observed, Problem, picked
 
 SHORT = 1.0
 """A run is repeated, for the median of its times, unless it takes longer than this [s]."""
@@ -254,12 +255,17 @@ def study(
             row["failed"] = str(error)
         rows.append(row)
         say("{problem:8} {variant:24} {seconds:9.3g} s  error {error:.2e}".format(**{"seconds": 0, "error": 0} | row))
-    table = pd.DataFrame(rows)
-    table["front"] = False
-    for _, group in table.groupby("problem"):
-        table.loc[group.index, "front"] = pareto_front(group["seconds"].to_numpy(), group["error"].to_numpy(), GAIN)
+    table = with_front(pd.DataFrame(rows), "problem")
     order = {problem.name: index for index, problem in enumerate(problems)}
     return table.sort_values("problem", key=lambda column: column.map(order), kind="stable").reset_index(drop=True)
+
+
+def with_front(table: pd.DataFrame, by: str) -> pd.DataFrame:
+    """The table, and in "front" whether a row is on the Pareto front of those that are the same in column `by`."""
+    table["front"] = False
+    for _, group in table.groupby(by):
+        table.loc[group.index, "front"] = pareto_front(group["seconds"].to_numpy(), group["error"].to_numpy(), GAIN)
+    return table
 
 
 def _measured(

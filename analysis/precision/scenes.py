@@ -3,10 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from analysis.precision.bodies import ball, block, preset
-from analysis.precision.problems import Problem
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.mpm.state import initial_state
+
+from .bodies import ball, block, preset
+from .problems import Problem
 
 CELLS = (6, 8, 12)
 

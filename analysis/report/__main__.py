@@ -20,9 +20,9 @@ LIMIT = 200
 
 def main(arguments: list[str] | None = None, say: Callable[[str], None] = print) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.report",
+        prog=f"python -m {__package__}",
         description="One HTML page of a folder of runs: tables, filmstrips, videos, plans, timings.",
-        epilog="example: python -m analysis.report runs -o runs/report.html",
+        epilog="example: %(prog)s runs -o runs/report.html",
     )
     parser.add_argument("folder", type=Path, nargs="?", default=Path("runs"))
     parser.add_argument("-o", "--out", type=Path, metavar="HTML", help="default: report.html in the folder of runs")
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     parser.add_argument("--limit-mb", type=int, default=LIMIT, metavar="N", help=f"of pictures and videos ({LIMIT})")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
     options = parser.parse_args(arguments)
-    from analysis.report.make import make
+    from .make import make
 
     out = options.out or options.folder / "report.html"
     try:

@@ -4,13 +4,14 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from analysis.report.extras import read_extra
-from analysis.report.page import build
-from analysis.report.shown import Shown, look
-from analysis.study.opinions import read_opinions
-from analysis.table import TOGETHER, UNREADABLE, collect
 from hoi.errors import InputError
 from hoi.files import whole_file
+
+from ..study.opinions import read_opinions
+from ..table import TOGETHER, UNREADABLE, collect
+from .extras import read_extra
+from .page import build
+from .shown import Shown, look
 
 
 def make(

@@ -13,15 +13,15 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from analysis.metrics.cost import STAGES
-from analysis.report.extras import Extra
-from analysis.report.media import data_uri
-from analysis.report.plots import variants_svg
-from analysis.report.shown import Part, Shown, colour_of, parts_of
-from analysis.table import DONE, FAILED, UNREADABLE, summarise, variant_place
-from analysis.writers import SPREAD, number
-from analysis.writers import Shown as Table
-from analysis.writers import shown as shown_tables
+from ..metrics.cost import STAGES
+from ..table import DONE, FAILED, UNREADABLE, summarise, variant_place
+from ..writers import SPREAD, number
+from ..writers import Shown as Table
+from ..writers import shown as shown_tables
+from .extras import Extra
+from .media import data_uri
+from .plots import variants_svg
+from .shown import Part, Shown, colour_of, parts_of
 
 HERE = Path(__file__).parent
 LONGEST = 20_000

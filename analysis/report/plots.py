@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from analysis.metrics import METRICS
-from analysis.table import DONE, variant_place
-from analysis.writers import plain
+from ..metrics import METRICS
+from ..table import DONE, variant_place
+from ..writers import plain
 
 NUMBERS = ("contact_expected", "causality", "depth", "ballistic", "deformation", "naturalness", "alignment", "seconds")
 """What tells the variants apart."""

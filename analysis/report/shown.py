@@ -5,14 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from analysis.metrics import GROUPS, METRICS
-from analysis.metrics.cost import STAGES
-from analysis.records import Record, load
-from analysis.report.media import Film, film
-from analysis.table import KEYS
-from analysis.writers import number, plain
 from hoi.data import Check, Omission, Step
 from hoi.errors import InputError, RunError
+
+from ..metrics import GROUPS, METRICS
+from ..metrics.cost import STAGES
+from ..records import Record, load
+from ..table import KEYS
+from ..writers import number, plain
+from .media import Film, film
 
 LABELS = (*KEYS, "seed")
 """What a run is called by: one short line each."""

@@ -7,7 +7,6 @@ Writes stability.csv (one row a case) and stability.png (the map). Exit codes: 0
 2 bad arguments; 130 interrupted, with the cases not run marked so.
 """
 
-import argparse
 import os
 import sys
 import time
@@ -16,27 +15,19 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from analysis.stability.cases import CASES, Case, quick
-from analysis.stability.verdict import Verdict
 from hoi.errors import InputError
 
+from .. import command
+from .cases import CASES, Case, quick
+from .verdict import Verdict
 
+
+@command.exit_code("analysis.stability")
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = _parse(arguments)
-    try:
-        if options.case is not None:
-            return _one(options.case)
-        return _all(_selected(options.family, options.quick), options.jobs, options.out)
-    except (InputError, OSError) as error:
-        print(f"analysis.stability: {error}", file=sys.stderr)
-        return 2
-
-
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.stability",
-        description="Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
-        epilog="example: python -m analysis.stability --quick -o runs/stability",
+    parser = command.parser(
+        "analysis.stability",
+        "Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
+        "--quick -o runs/stability",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/stability"), help="folder for the CSV and the map")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
@@ -46,7 +37,9 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error(f"--jobs must be 1 or more, got {options.jobs}")
-    return options
+    if options.case is not None:
+        return _one(options.case)
+    return _all(_selected(options.family, options.quick), options.jobs, options.out)
 
 
 def _selected(family: str | None, only_quick: bool) -> list[Case]:
@@ -58,7 +51,7 @@ def _selected(family: str | None, only_quick: bool) -> list[Case]:
 
 
 def _one(name: str) -> int:
-    from analysis.stability.workers import verdict_of
+    from .workers import verdict_of
 
     if name not in CASES:
         raise InputError(f"--case must be the id of a case, see the first column of stability.csv, got {name!r}")
@@ -72,8 +65,8 @@ def _one(name: str) -> int:
 def _all(cases: list[Case], jobs: int, folder: Path) -> int:
     import pandas as pd
 
-    from analysis.stability.chart import draw
-    from analysis.stability.workers import run_all
+    from .chart import draw
+    from .workers import run_all
 
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()

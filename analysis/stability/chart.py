@@ -14,8 +14,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from analysis.stability.cases import Case
-from analysis.stability.verdict import Verdict, shares
+from .cases import Case
+from .verdict import Verdict, shares
 
 INK, MUTED, FAILED, REFUSED, STOPPED, NOT_RUN = "#22262b", "#7a828c", "#c81e3a", "#a9bdd6", "#8a7ca8", "#ffffff"
 UNITS = (

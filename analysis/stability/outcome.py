@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from analysis.stability.cases import Case
 from hoi.data import Array
+
+from .cases import Case
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.stability.cases import Case
-from analysis.stability.outcome import Look, Outcome
 from hoi.data import Array, ObjectState, Plane
 from hoi.errors import InputError, RunError
 from hoi.mpm.collider import Collider
@@ -15,6 +13,9 @@ from hoi.mpm.materials import p_wave_speed
 from hoi.mpm.solver import Simulation
 from hoi.mpm.stability import DEFAULT_FRACTION, time_step_limit
 from hoi.mpm.state import angular_momentum, centre_of_mass, initial_state, kick, linear_momentum
+
+from .cases import Case
+from .outcome import Look, Outcome
 
 MOST_STEPS = 20_000
 """A case that takes more is cut short: the grid is to be done in minutes."""

@@ -21,9 +21,10 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.stability.cases import Case
-from analysis.stability.outcome import Look, Outcome
 from hoi.mpm.materials import lame_parameters
+
+from .cases import Case
+from .outcome import Look, Outcome
 
 ENERGY_RISE = 0.05
 ENERGY_RISE_OF_SNOW = 0.25

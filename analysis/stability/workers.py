@@ -7,11 +7,12 @@ import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from itertools import groupby
 
-from analysis.stability.cases import Case
-from analysis.stability.trial import attempt
-from analysis.stability.verdict import Verdict, judge
+from .cases import Case
+from .trial import attempt
+from .verdict import Verdict, judge
 
 TIME_LIMIT = 120.0
 """A case that has not come back by then has hung [s]."""
@@ -26,24 +27,21 @@ def verdict_of(case: Case) -> Verdict:
 
 def run_all(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
     """Each case with its verdict as it comes, from `jobs` processes; leaving the loop early kills them."""
+    cases = list(cases)
     batches: queue.SimpleQueue[list[Case]] = queue.SimpleQueue()
     for batch in _batches(cases):
         batches.put(batch)
-    done: queue.SimpleQueue[tuple[Case, Verdict] | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[Case, Verdict]] = queue.SimpleQueue()
     stop = threading.Event()
     for _ in range(jobs):
         threading.Thread(target=_work, args=(batches, done, stop), daemon=True).start()
-    working = jobs
     try:
-        while working:
-            item = done.get()
-            if item is None:
-                working -= 1
-            else:
-                yield item
+        for _ in cases:
+            yield done.get()
     finally:
         stop.set()
-        _kill_workers()
+        for process in multiprocessing.active_children():
+            process.kill()
 
 
 def _batches(cases: Iterable[Case]) -> list[list[Case]]:
@@ -56,40 +54,26 @@ def _batches(cases: Iterable[Case]) -> list[list[Case]]:
 
 
 def _work(
-    batches: "queue.SimpleQueue[list[Case]]",
-    done: "queue.SimpleQueue[tuple[Case, Verdict] | None]",
-    stop: threading.Event,
+    batches: "queue.SimpleQueue[list[Case]]", done: "queue.SimpleQueue[tuple[Case, Verdict]]", stop: threading.Event
 ) -> None:
     """One worker's thread: batch after batch in one process, which is replaced when it dies."""
     executor = _process()
-    while not stop.is_set():
-        try:
-            batch = batches.get_nowait()
-        except queue.Empty:
-            break
-        for case in batch:
-            if stop.is_set():
-                return
-            try:
-                verdict = executor.submit(verdict_of, case).result(TIME_LIMIT)
-            except BrokenProcessPool:
-                verdict = Verdict("failed", "the process died")
-                executor = _process()
-            except TimeoutError:
-                verdict = Verdict("failed", f"no end after {TIME_LIMIT:g} s")
-                executor.shutdown(wait=False, cancel_futures=True)
-                executor = _process()
-            done.put((case, verdict))
-    executor.shutdown()
-    done.put(None)
+    with suppress(queue.Empty):
+        while batch := batches.get_nowait():
+            for case in batch:
+                if stop.is_set():
+                    return
+                try:
+                    verdict = executor.submit(verdict_of, case).result(TIME_LIMIT)
+                except (BrokenProcessPool, TimeoutError) as error:
+                    hung = isinstance(error, TimeoutError)
+                    verdict = Verdict("failed", f"no end after {TIME_LIMIT:g} s" if hung else "the process died")
+                    executor.shutdown(wait=False, cancel_futures=True)
+                    executor = _process()
+                done.put((case, verdict))
 
 
 def _process() -> ProcessPoolExecutor:
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(1, mp_context=context, initializer=signal.signal,
                                initargs=(signal.SIGINT, signal.SIG_IGN))  # fmt: skip
-
-
-def _kill_workers() -> None:
-    for process in multiprocessing.active_children():
-        process.kill()

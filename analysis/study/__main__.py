@@ -17,9 +17,9 @@ from hoi.errors import InputError, RunError
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m analysis.study",
+        prog=f"python -m {__package__}",
         description=__doc__,
-        epilog="example: python -m analysis.study make runs -o study.html",
+        epilog="example: %(prog)s make runs -o study.html",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True)
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make(arguments: argparse.Namespace) -> int:
-    from analysis.study.make import find_clips, make
+    from .make import find_clips, make
 
     clips, without = find_clips(arguments.folders)
     print(make(clips, arguments.out, arguments.key, arguments.seed))
@@ -51,8 +51,8 @@ def _make(arguments: argparse.Namespace) -> int:
 
 
 def _score(arguments: argparse.Namespace) -> int:
-    from analysis.study.answers import read_answers, read_key
-    from analysis.study.score import opinion_scores, rater_agreement, to_markdown, write
+    from .answers import read_answers, read_key
+    from .score import opinion_scores, rater_agreement, to_markdown, write
 
     key = read_key(arguments.key)
     answers = read_answers(arguments.answers, key)

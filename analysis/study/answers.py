@@ -11,9 +11,10 @@ from typing import Any
 
 import pandas as pd
 
-from analysis.study.make import ANSWERS_FORMAT, KEY_FORMAT, LABELS
-from analysis.study.questions import CODE, COLUMNS, QUESTIONS, SCALE
 from hoi.errors import InputError
+
+from .make import ANSWERS_FORMAT, KEY_FORMAT, LABELS
+from .questions import CODE, COLUMNS, QUESTIONS, SCALE
 
 LARGEST = 16 << 20
 """Bytes a file may have."""

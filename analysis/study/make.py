@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from analysis.study.questions import CODE, COLUMNS, QUESTIONS, SCALE
-from analysis.study.videos import anonymise
 from hoi.errors import InputError
 from hoi.record import read_metadata
+
+from .questions import CODE, COLUMNS, QUESTIONS, SCALE
+from .videos import anonymise
 
 KEY_FORMAT = "hoi.study.key/1"
 ANSWERS_FORMAT = "hoi.study.answers/1"

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.study.questions import QUESTIONS
 from hoi.errors import InputError
+
+from .questions import QUESTIONS
 
 
 def read_opinions(file: Path) -> pd.DataFrame:

@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from analysis.study.agreement import alpha
-from analysis.study.answers import RATINGS, Key
-from analysis.study.questions import QUESTIONS, SCALE
 from hoi.config.choices import Ablation
 from hoi.data import Array
 from hoi.errors import InputError
 from hoi.files import whole_file
+
+from .agreement import alpha
+from .answers import RATINGS, Key
+from .questions import QUESTIONS, SCALE
 
 CONFIDENCE = 0.95
 METHOD = (

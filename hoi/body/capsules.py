@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
+from hoi.body.segments import segment_distances
 from hoi.data import Array, Body
 
 TOLERANCE = 0.015
@@ -40,18 +41,9 @@ class Capsules:
     """[m], shape (C,)."""
 
 
-def distance_to_axes(points: Array, starts: Array, ends: Array) -> Array:
-    """Distances [m], (N, C), of points (N, 3) to the segments from `starts` to `ends`, (C, 3)."""
-    axes = ends - starts
-    length_squared = np.maximum((axes**2).sum(axis=1), 1e-18)
-    from_starts = points[:, None] - starts
-    share = ((from_starts * axes).sum(axis=2) / length_squared).clip(0, 1)
-    return np.linalg.norm(from_starts - share[..., None] * axes, axis=2)
-
-
 def surface_distance(points: Array, starts: Array, ends: Array, radii: Array) -> Array:
     """Signed distances [m], (N,), of points (N, 3) to the surface of a union of capsules; negative inside."""
-    return (distance_to_axes(points, starts, ends) - radii).min(axis=1)
+    return (segment_distances(points, starts, ends) - radii).min(axis=1)
 
 
 def fit_capsule(points: Array) -> tuple[Array, Array, float]:
@@ -76,7 +68,7 @@ def fit_capsule(points: Array) -> tuple[Array, Array, float]:
     bounds = np.concatenate([low, low, [0.0]]) - 1e-6, np.concatenate([high, high, [1.1 * thickest]]) + 1e-6
 
     def residuals(p: Array) -> Array:
-        return distance_to_axes(local, p[None, :3], p[None, 3:6])[:, 0] - p[6]
+        return segment_distances(local, p[None, :3], p[None, 3:6])[:, 0] - p[6]
 
     fits = []
     for axis, extent in enumerate(half):
@@ -106,7 +98,7 @@ def fit_union(points: Array) -> tuple[Array, Array, Array]:
             shares = [points[owner == i] for i in range(count)]
             fits = [fit_capsule(share) for share in shares if len(share) >= FEWEST]
             starts, ends, radii = (np.array(part) for part in zip(*fits, strict=True))
-            owner = np.abs(distance_to_axes(points, starts, ends) - radii).argmin(axis=1)
+            owner = np.abs(segment_distances(points, starts, ends) - radii).argmin(axis=1)
             covered = float((np.abs(surface_distance(points, starts, ends, radii)) <= TOLERANCE).mean())
             if covered > best_coverage:
                 best, best_coverage = (starts, ends, radii), covered
@@ -128,10 +120,9 @@ def _spread(points: Array, count: int) -> Array:
 
 def fit_capsules(body: Body, joints: Iterable[int]) -> Capsules:
     """Capsules for the Gaussians of each of `joints`: i belongs to argmax_k w_ik. Joints with hardly any get none."""
-    dominant = body.skinning_weights.argmax(axis=1)
     owners, fits = [], []
     for joint in joints:
-        points = np.asarray(body.cloud.means[dominant == joint], np.float64)
+        points = np.asarray(body.cloud.means[body.dominant_joints == joint], np.float64)
         if len(points) < FEWEST:
             continue
         fits.append(fit_union(points[:: max(len(points) // ENOUGH, 1)]))

@@ -71,3 +71,8 @@ def forward_kinematics(local: Tensor, translation: Tensor, rest_joints: Tensor) 
 def joint_positions(translation: Tensor, orientation: Tensor, body_pose: Tensor, rest_joints: Tensor) -> Tensor:
     """World joint positions p_j [m], (..., 24, 3), of a motion given by its parameters (see `hoi.data.Motion`)."""
     return forward_kinematics(local_rotations(orientation, body_pose), translation, rest_joints)[1]
+
+
+def leg_length(rest_joints: Tensor) -> Tensor:
+    """Height of the pelvis above the lowest joint in the T-pose [m]."""
+    return rest_joints[0, 1] - rest_joints[:, 1].min()

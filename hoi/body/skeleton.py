@@ -10,19 +10,40 @@ JOINT_COUNT = len(JOINT_NAMES)
 POSE_FEATURES = 9 * (JOINT_COUNT - 1)
 """Entries of R_j - I of joints 1..23, which pose blend shapes are linear in."""
 
-LIMBS = {
-    "left_foot": (7, 10),
-    "right_foot": (8, 11),
-    "left_knee": (4, 1),  # the skin above the kneecap goes with the thigh
-    "right_knee": (5, 2),
-    "left_leg": (4, 7, 10),
-    "right_leg": (5, 8, 11),
-    "left_hand": (20, 22),
-    "right_hand": (21, 23),
-    "left_arm": (18, 20, 22),
-    "right_arm": (19, 21, 23),
-    "feet": (7, 8, 10, 11),
-    "hands": (20, 21, 22, 23),
+CHAINS = {
+    "left leg": (1, 4, 7, 10),
+    "right leg": (2, 5, 8, 11),
+    "left arm": (16, 18, 20, 22),
+    "right arm": (17, 19, 21, 23),
     "head": (12, 15),
+    "trunk": (0, 3, 6, 9, 13, 14),
+}
+"""The joints that push together, from the body outwards: each joint is in one chain."""
+_OF_CHAIN = {
+    "foot": ("leg", (2, 3)),
+    "knee": ("leg", (1, 0)),  # the skin above the kneecap goes with the thigh
+    "leg": ("leg", (1, 2, 3)),
+    "hand": ("arm", (2, 3)),
+    "arm": ("arm", (1, 2, 3)),
+}
+LIMBS = {
+    f"{side}_{limb}": tuple(CHAINS[f"{side} {chain}"][place] for place in places)
+    for limb, (chain, places) in _OF_CHAIN.items()
+    for side in ("left", "right")
+}
+LIMBS |= {
+    "feet": tuple(sorted(LIMBS["left_foot"] + LIMBS["right_foot"])),
+    "hands": tuple(sorted(LIMBS["left_hand"] + LIMBS["right_hand"])),
+    "head": CHAINS["head"],
 }
 """A limb's name -> the joints whose Gaussians belong to it."""
+
+CHAINS = {
+    "left leg": (1, 4, 7, 10),
+    "right leg": (2, 5, 8, 11),
+    "left arm": (16, 18, 20, 22),
+    "right arm": (17, 19, 21, 23),
+    "head": (12, 15),
+    "trunk": (0, 3, 6, 9, 13, 14),
+}
+"""The joints that push together: each joint is in one chain."""

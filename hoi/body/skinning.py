@@ -133,6 +133,11 @@ def stand_motion(body: Body, frames: int, fps: float) -> Motion:
     return still
 
 
+def sole_height(body: Body) -> float:
+    """Height of the lowest joint when the body's soles stand on the ground [m]."""
+    return float(joint_paths(body, stand_motion(body, 1, 1.0))[0, :, 2].min())
+
+
 def _motion_tensors(motion: Motion, frames: ArrayLike | None) -> tuple[Tensor, Tensor, Tensor]:
     if frames is not None:
         motion = interpolate_motion(motion, frames)

@@ -1,8 +1,8 @@
 """The typed configuration: one dataclass a group, registered with Hydra, checked as a whole by `hoi.config.validate`.
 
-Defaults live in `conf/`, not here: a field without a value there is an error at composition. Each field says what it is
-and, in brackets, its unit ([-] for a number that has none); `docs/` makes the reference of all keys from that. No heavy
-imports.
+Those of the stages are their options, in `hoi.stages`. Defaults live in `conf/`, not here: a field without a value
+there is an error at composition. Each field says what it is and, in brackets, its unit ([-] for a number that has
+none); `docs/` makes the reference of all keys from that. No heavy imports.
 """
 
 from dataclasses import dataclass, field
@@ -12,110 +12,50 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from hoi.config.agents import BoxConf, HumanConf, MaterialConf, ObjectConf, RegionConf
-from hoi.config.choices import (
-    Ablation,
-    Approach,
-    AttractionKind,
-    AttractionTarget,
-    ContactKind,
-    ContactModel,
-    Device,
-    HumanKind,
-    MaterialModel,
-    MotionInit,
-    MotionKind,
-    MoverKind,
-    ObjectKind,
-    PlaneContact,
-    Precision,
-    RefineKind,
-    RefineWhen,
-    RenderBackend,
-    RenderKind,
-    Sampler,
-    Spline,
-    UpAxis,
-    VideoPriorKind,
-    View,
-)
-from hoi.config.scene import PlacementConf, PlaneConf, RenderConf, SceneConf, VideoConf
-from hoi.config.stages import (
-    AttractionConf,
-    ConstantVelocityConf,
-    ContactConf,
-    CoordinateConf,
-    GeometricConf,
-    HMSDConf,
-    ImpulseConf,
-    MotionConf,
-    MoverConf,
-    MPMConf,
-    RefineConf,
-    StageConf,
-    VideoSDSConf,
-    WindowConf,
-    WindowedConf,
-)
+from hoi.config.choices import Ablation, Approach, Device, HumanKind, MaterialModel, ObjectKind, PlaneContact
+from hoi.config.scene import PlacementConf, PlaneConf, SceneConf
+from hoi.stages import options
+from hoi.stages.contract import Attraction, ContactModel, MotionSource, ObjectMover, Option, Refinement, Renderer
+from hoi.stages.coordinate.default import Coordinate
 
 __all__ = [
     "CONF",
     "SCHEMAS",
     "Ablation",
     "Approach",
-    "AttractionConf",
-    "AttractionKind",
-    "AttractionTarget",
     "BoxConf",
     "Config",
-    "ConstantVelocityConf",
-    "ContactConf",
-    "ContactKind",
-    "ContactModel",
-    "CoordinateConf",
     "Device",
-    "GeometricConf",
-    "HMSDConf",
     "HumanConf",
     "HumanKind",
-    "ImpulseConf",
-    "MPMConf",
     "MaterialConf",
     "MaterialModel",
-    "MotionConf",
-    "MotionInit",
-    "MotionKind",
-    "MoverConf",
-    "MoverKind",
     "ObjectConf",
     "ObjectKind",
     "PlacementConf",
     "PlaneConf",
     "PlaneContact",
-    "Precision",
-    "RefineConf",
-    "RefineKind",
-    "RefineWhen",
     "RegionConf",
-    "RenderBackend",
-    "RenderConf",
-    "RenderKind",
-    "Sampler",
     "SceneConf",
-    "Spline",
     "StageConf",
-    "UpAxis",
-    "VideoConf",
-    "VideoPriorKind",
-    "VideoSDSConf",
-    "View",
-    "WindowConf",
-    "WindowedConf",
     "register",
 ]
 
 CONF = Path(__file__).parents[1] / "conf"
 if not CONF.is_dir():  # a checkout: the folder stands beside the package, a wheel carries it inside
     CONF = Path(__file__).parents[2] / "conf"
+
+
+@dataclass
+class StageConf:
+    """The stages."""
+
+    motion: MotionSource = MISSING
+    coordinate: Coordinate = MISSING
+    attraction: Attraction = MISSING
+    contact: ContactModel = MISSING
+    object: ObjectMover = MISSING
+    refine: Refinement = MISSING
 
 
 @dataclass
@@ -146,8 +86,24 @@ class Config:
     object: ObjectConf = MISSING
     material: MaterialConf = MISSING
     stage: StageConf = field(default_factory=StageConf)
-    render: RenderConf = MISSING
+    render: Renderer = MISSING
     scene: SceneConf = MISSING
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What each stage is, in the order in which a run is planned."""
+        stage = self.stage
+        return (
+            stage.object, stage.motion, stage.attraction, stage.coordinate, stage.contact, stage.refine, self.render
+        )  # fmt: skip
+
+    def lies_still(self) -> bool:
+        """Whether the object's free motion is to stay where it is."""
+        placement = self.scene.placement
+        moving = any(placement.velocity) or any(placement.angular_velocity)
+        x, y, z = self.scene.gravity
+        falls = x or y or z > 0
+        return self.object.stable and placement.position[2] is None and not moving and not falls
 
 
 SCHEMAS: dict[tuple[str, str], type] = {
@@ -156,21 +112,9 @@ SCHEMAS: dict[tuple[str, str], type] = {
     ("schema", "object"): ObjectConf,
     ("schema", "material"): MaterialConf,
     ("schema", "scene"): SceneConf,
-    ("schema", "video"): VideoConf,
-    ("schema", "no_render"): RenderConf,
-    ("schema/stage", "hmsd"): HMSDConf,
-    ("schema/stage", "no_motion"): MotionConf,
-    ("schema/stage", "coordinate"): CoordinateConf,
-    ("schema/stage", "windowed"): WindowedConf,
-    ("schema/stage", "no_attraction"): AttractionConf,
-    ("schema/stage", "impulse"): ImpulseConf,
-    ("schema/stage", "no_contact"): ContactConf,
-    ("schema/stage", "mpm"): MPMConf,
-    ("schema/stage", "constant_velocity"): ConstantVelocityConf,
-    ("schema/stage", "video_sds"): VideoSDSConf,
-    ("schema/stage", "geometric"): GeometricConf,
-    ("schema/stage", "no_refine"): RefineConf,
+    **{(f"schema/{group}", name): schema for (group, name), schema in options().items()},
 }
+"""By group and name; an option's are those of its file in `conf/`, below `schema`."""
 
 
 def register() -> None:

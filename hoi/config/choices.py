@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from hoi.mpm.laws import LAWS
+
 
 class Device(StrEnum):
     auto = "auto"
@@ -30,13 +32,9 @@ class ObjectKind(StrEnum):
 
 
 class MaterialModel(StrEnum):
-    fixed_corotated = "fixed_corotated"
-    neo_hookean = "neo_hookean"
-    von_mises = "von_mises"
-    viscoplastic = "viscoplastic"
-    drucker_prager = "drucker_prager"
-    snow = "snow"
-    fluid = "fluid"
+    """The laws in `hoi.mpm.laws`."""
+
+    vars().update({name: name for name in LAWS})
 
 
 class PlaneContact(StrEnum):
@@ -45,102 +43,7 @@ class PlaneContact(StrEnum):
     stick = "stick"
 
 
-class MotionKind(StrEnum):
-    hmsd = "hmsd"
-    none = "none"
-
-
-class MotionInit(StrEnum):
-    sample = "sample"
-    stand = "stand"
-    file = "file"
-
-
-class Sampler(StrEnum):
-    ancestral = "ancestral"
-    ddim = "ddim"
-
-
-class UpAxis(StrEnum):
-    auto = "auto"
-    y = "y"
-    z = "z"
-
-
 class Approach(StrEnum):
     step = "step"
     stand = "stand"
     none = "none"
-
-
-class AttractionKind(StrEnum):
-    windowed = "windowed"
-    none = "none"
-
-
-class AttractionTarget(StrEnum):
-    surface = "surface"
-    com = "com"
-
-
-class ContactKind(StrEnum):
-    impulse = "impulse"
-    none = "none"
-
-
-class ContactModel(StrEnum):
-    impulse = "impulse"
-    collider = "collider"
-
-
-class MoverKind(StrEnum):
-    mpm = "mpm"
-    constant_velocity = "constant_velocity"
-
-
-class Precision(StrEnum):
-    float32 = "float32"
-    float64 = "float64"
-
-
-class Spline(StrEnum):
-    quadratic = "quadratic"
-    cubic = "cubic"
-
-
-class RefineKind(StrEnum):
-    video_sds = "video_sds"
-    geometric = "geometric"
-    none = "none"
-
-
-class RefineWhen(StrEnum):
-    needed = "needed"
-    always = "always"
-
-
-class VideoPriorKind(StrEnum):
-    embedded = "embedded"
-    cogvideox = "cogvideox"
-
-
-class RenderKind(StrEnum):
-    video = "video"
-    none = "none"
-
-
-class View(StrEnum):
-    """The names in `hoi.render.cameras.VIEWS`."""
-
-    front = "front"
-    side = "side"
-    three_quarter = "three_quarter"
-    back = "back"
-    top = "top"
-    follow = "follow"
-
-
-class RenderBackend(StrEnum):
-    taichi = "taichi"
-    gsplat = "gsplat"
-    reference = "reference"

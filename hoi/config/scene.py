@@ -1,34 +1,10 @@
-"""Where, when and how it is seen: placement, walls, prompts, the video."""
+"""Who does what to what, and where: placement, walls, prompts."""
 
 from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from hoi.config.choices import Approach, PlaneContact, RenderBackend, RenderKind, View
-
-
-@dataclass
-class RenderConf:
-    """The video of the finished run."""
-
-    kind: RenderKind = MISSING
-    """A video, or none."""
-
-
-@dataclass
-class VideoConf(RenderConf):
-    """One picture a frame, from one camera."""
-
-    view: View = MISSING
-    """Where the camera stands."""
-    width: int = MISSING
-    """Of a picture [pixel], even."""
-    height: int = MISSING
-    """Of a picture [pixel], even."""
-    backend: RenderBackend = MISSING
-    """What draws: the package's rasteriser, gsplat on a GPU, or the slow reference."""
-    sh_degree: int | None = None
-    """Highest degree of the Gaussians' harmonics that is drawn; null draws all."""
+from hoi.config.choices import Approach, PlaneContact
 
 
 @dataclass

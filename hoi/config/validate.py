@@ -7,29 +7,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
-from hoi.config import (
-    CONF,
-    Config,
-    ContactModel,
-    HMSDConf,
-    HumanKind,
-    ImpulseConf,
-    MaterialConf,
-    MotionInit,
-    MPMConf,
-    ObjectKind,
-    PlaneContact,
-    VideoConf,
-    VideoPriorKind,
-    VideoSDSConf,
-    WindowConf,
-    WindowedConf,
-)
+from hoi.config import CONF, Config, HumanKind, MaterialConf, ObjectKind, PlaneContact
 from hoi.errors import InputError
-from hoi.video_prior.files import EMBEDDED_PICTURE
-
-SMALLEST_PICTURE, LARGEST_PICTURE = 16, 8192
-"""Edges that H.264 can have [pixel]; its colour planes are half as large, so they are even."""
+from hoi.stages.contract import Requirements
 
 
 def to_config(composed: DictConfig) -> Config:
@@ -104,10 +84,7 @@ def validate(config: Config) -> list[str]:
     if problems:
         return problems
 
-    def require(holds: bool, name: str, value: object, rule: str) -> None:
-        if not holds:
-            problems.append(f"{name} must be {rule}, got {value}")
-
+    require = Requirements()
     scene, stage, placement = config.scene, config.stage, config.scene.placement
     require(config.seed >= 0, "seed", config.seed, "0 or more")
     require(config.seeds >= 1, "seeds", config.seeds, "1 or more")
@@ -174,111 +151,7 @@ def validate(config: Config) -> list[str]:
     last = scene.frames - 1
     require(0 <= scene.contact_frame <= last, "scene.contact_frame", scene.contact_frame, f"in [0, {last}]")
 
-    motion = stage.motion
-    if isinstance(motion, HMSDConf):
-        rule = "3 or more: the motion prior sees velocities and their changes"
-        require(scene.frames >= 3, "scene.frames", scene.frames, rule)
-        require(motion.iterations >= 0, "stage.motion.iterations", motion.iterations, "0 or more")
-        given, named = motion.path is not None, motion.init is MotionInit.file
-        rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: stage.motion.init is {motion.init.value}"
-        require(given == named, "stage.motion.path", "null" if motion.path is None else motion.path, rule)
-        require(motion.start_time >= 0, "stage.motion.start_time", motion.start_time, "0 or more [s]")
-        for name in ("guidance_rescale", "sample_rescale"):
-            require(0 <= getattr(motion, name) <= 1, f"stage.motion.{name}", getattr(motion, name), "in [0, 1]")
-        steps = motion.sample_steps
-        require(steps is None or steps >= 1, "stage.motion.sample_steps", steps, "1 or more, or null")
-        require(motion.learning_rate > 0, "stage.motion.learning_rate", motion.learning_rate, "greater than 0")
-        require(
-            0 <= motion.t_min < motion.t_max,
-            "stage.motion.t_min",
-            motion.t_min,
-            f"in [0, stage.motion.t_max = {motion.t_max})",
-        )
-    coordinate = stage.coordinate
-    require(coordinate.iterations >= 0, "stage.coordinate.iterations", coordinate.iterations, "0 or more")
-    rate = coordinate.learning_rate
-    require(rate > 0, "stage.coordinate.learning_rate", rate, "greater than 0")
-    decay, feet = coordinate.decay, coordinate.lambda_feet
-    require(0 <= decay <= 1, "stage.coordinate.decay", decay, "in [0, 1]")
-    require(feet >= 0, "stage.coordinate.lambda_feet", feet, "0 or more")
-    require(coordinate.lambda_hmsd >= 0, "stage.coordinate.lambda_hmsd", coordinate.lambda_hmsd, "0 or more")
-    attraction = stage.attraction
-    if isinstance(attraction, WindowedConf):
-        require(attraction.lambda_attr >= 0, "stage.attraction.lambda_attr", attraction.lambda_attr, "0 or more")
-        require(attraction.growth >= 1, "stage.attraction.growth", attraction.growth, "1 or more")
-        require(attraction.sigma > 0, "stage.attraction.sigma", attraction.sigma, "greater than 0 [frames]")
-        width = attraction.half_width
-        require(width >= 0, "stage.attraction.half_width", width, "0 or more [frames]")
-    contact = stage.contact
-    if isinstance(contact, ImpulseConf):
-        require(0 < contact.tau <= 1, "stage.contact.tau", contact.tau, "in (0, 1]")
-        require(contact.distance > 0, "stage.contact.distance", contact.distance, "greater than 0 [m]")
-        require(contact.friction >= 0, "stage.contact.friction", contact.friction, "0 or more")
-        require(contact.samples >= 1, "stage.contact.samples", contact.samples, "1 or more")
-        pushes = contact.model is ContactModel.impulse or isinstance(stage.object, MPMConf)
-        rule = f"impulse where stage/object is {stage.object.kind.value}: a limb can only push what the MPM moves"
-        require(pushes, "stage.contact.model", contact.model.value, rule)
-    mover = stage.object
-    if isinstance(mover, MPMConf):
-        require(0 < mover.limit_fraction <= 1, "stage.object.limit_fraction", mover.limit_fraction, "in (0, 1]")
-        tolerance = mover.vibration_tolerance
-        require(tolerance >= 0, "stage.object.vibration_tolerance", tolerance, "0 or more")
-        require(mover.dt is None or mover.dt > 0, "stage.object.dt", mover.dt, "greater than 0 [s], or null")
-        for name in ("cells_across", "grid", "domain"):
-            value = getattr(mover, name)
-            require(value is None or value > 0, f"stage.object.{name}", value, "greater than 0, or null")
-        by_domain = (mover.domain is None) == (mover.grid is None)
-        require(
-            by_domain and (mover.cells_across is None) != (mover.domain is None),
-            "stage.object",
-            f"cells_across={mover.cells_across}, domain={mover.domain}, grid={mover.grid}",
-            "given either cells_across or both domain and grid",
-        )
-    refine = stage.refine
-    if isinstance(refine, WindowConf):
-        require(refine.tolerance >= 0, "stage.refine.tolerance", refine.tolerance, "0 or more [m]")
-        require(refine.half_width >= 0, "stage.refine.half_width", refine.half_width, "0 or more [frames]")
-        require(refine.iterations >= 1, "stage.refine.iterations", refine.iterations, "1 or more")
-        for name in ("lambda_penetration", "lambda_touch", "lambda_pose", "lambda_smooth"):
-            require(getattr(refine, name) >= 0, f"stage.refine.{name}", getattr(refine, name), "0 or more")
-    if isinstance(refine, VideoSDSConf):
-        given, embedded = refine.checkpoint, refine.prior is VideoPriorKind.embedded
-        rule = "a folder or hub name: stage.refine.prior is cogvideox"
-        require(embedded or given is not None, "stage.refine.checkpoint", "null", rule)
-        require(refine.learning_rate > 0, "stage.refine.learning_rate", refine.learning_rate, "greater than 0")
-        rescale = refine.guidance_rescale
-        require(0 <= rescale <= 1, "stage.refine.guidance_rescale", rescale, "in [0, 1]")
-        for name, highest in (("t_max", 999), ("t_max_end", refine.t_max), ("t_min", refine.t_max_end)):
-            timestep = getattr(refine, name)
-            require(0 <= timestep <= highest, f"stage.refine.{name}", timestep, f"in [0, {highest}]")
-        falls = refine.t_max_iterations
-        require(falls >= 1, "stage.refine.t_max_iterations", falls, "1 or more")
-        require(refine.viewpoints >= 1, "stage.refine.viewpoints", refine.viewpoints, "1 or more")
-        require(abs(refine.elevation) < math.pi / 2, "stage.refine.elevation", refine.elevation, "in (-pi/2, pi/2)")
-        distance, clip = refine.distance, refine.clip_frames
-        require(distance is None or distance > 0, "stage.refine.distance", distance, "greater than 0 [m], or null")
-        for name in ("width", "height"):
-            value = getattr(refine, name)
-            inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE and value % SMALLEST_PICTURE == 0
-            require(inside, f"stage.refine.{name}", value, f"a multiple of {SMALLEST_PICTURE} up to {LARGEST_PICTURE}")
-        if embedded:  # what it has been trained on
-            size, fixed = EMBEDDED_PICTURE, "null with stage.refine.prior=embedded"
-            require(clip is None, "stage.refine.clip_frames", clip, fixed)
-            for name in ("width", "height"):
-                value, rule = getattr(refine, name), f"{size} with stage.refine.prior=embedded"
-                require(value == size, f"stage.refine.{name}", value, rule)
-        else:
-            whole = clip is None or (clip >= 1 and clip % 4 == 1)
-            require(whole, "stage.refine.clip_frames", clip, "4 k + 1 frames (9, 13, ..., 49), or null")
-        require(refine.lambda_geometry >= 0, "stage.refine.lambda_geometry", refine.lambda_geometry, "0 or more")
-    render = config.render
-    if isinstance(render, VideoConf):
-        require(0.1 <= scene.fps <= 1000, "scene.fps", scene.fps, "in [0.1, 1000] [1/s] for a video")
-        for name in ("width", "height"):
-            value = getattr(render, name)
-            rule = f"an even number in [{SMALLEST_PICTURE}, {LARGEST_PICTURE}] [pixel]"
-            inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE
-            require(inside and value % 2 == 0, f"render.{name}", value, rule)
-        degree = render.sh_degree
-        require(degree is None or 0 <= degree <= 3, "render.sh_degree", degree, "0, 1, 2 or 3, or null")
-    return problems
+    for option in (stage.motion, stage.coordinate, stage.attraction, stage.contact, stage.object, stage.refine):
+        option.check(config, require)
+    config.render.check(config, require)
+    return require.problems

@@ -8,21 +8,20 @@ import torch
 
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import rotation_to_6d
-from hoi.body.skinning import joint_paths, stand_motion
-from hoi.config import UpAxis
+from hoi.body.skinning import joint_paths, sole_height
 from hoi.data import Array, Body, Motion
-from hoi.errors import InputError
+from hoi.errors import InputError, about
 from hoi.importers.amass import read_amass
 from hoi.importers.bvh import read_bvh
 from hoi.importers.retarget import map_joints, retarget
-from hoi.motion.features import FACING_PLUS_Y, heading_of, turn_about_z
+from hoi.motion.features import towards_plus_y
 
 SUFFIXES = (".npz", ".bvh")
 Y_TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def read_motion(
-    path: Path, body: Body, frames: int, fps: float, start_time: float = 0.0, up: UpAxis = UpAxis.auto
+    path: Path, body: Body, frames: int, fps: float, start_time: float = 0.0, up: str = "auto"
 ) -> tuple[Motion, tuple[str, ...]]:
     """Read a motion file for a scene.
 
@@ -33,7 +32,7 @@ def read_motion(
     Args:
         path: .npz (see `hoi.importers.amass`) or .bvh (see `hoi.importers.retarget`).
         start_time: where in the recording the motion begins [s].
-        up: the file's up axis; auto takes that of y and z along which the pelvis' own up axis mostly lies.
+        up: the file's up axis, "y" or "z"; "auto" takes the one along which the pelvis' own up axis mostly lies.
 
     Returns:
         The motion, and what there is to say about it.
@@ -50,10 +49,9 @@ def read_motion(
         raise InputError(f"{path}: a motion is read from {' or '.join(SUFFIXES)}, not from {path.suffix!r}")
     length = (len(local) - 1) / rate
     if not 0 <= start_time <= length:
-        rule = f"in [0, {length:g}] s, which {path} lasts"
-        raise InputError(f"stage.motion.start_time must be {rule}, got {start_time:g}")
-    axis = _up_axis(local[:, 0], path) if up is UpAxis.auto else up
-    if axis is UpAxis.y:
+        raise InputError("start_time", f"{start_time:g}", f"in [0, {length:g}] s, which {path} lasts")
+    axis = _up_axis(local[:, 0], path) if up == "auto" else up
+    if axis == "y":
         local[:, 0], translation = Y_TO_Z_UP @ local[:, 0], translation @ Y_TO_Z_UP.T
     whole = _motion(local, translation, rate)
     ground = joint_paths(body, whole)[int(start_time * rate) :, :, 2].min() - sole_height(body)
@@ -63,34 +61,27 @@ def read_motion(
     piece = interpolate_motion(whole, np.minimum(wanted, len(whole) - 1))
     held = int((wanted > len(whole) - 1 + 1e-6).sum())
     placed = _from_origin_facing_plus_y(piece, fps)
-    seconds = f"{path.name}: {len(whole)} frames at {rate:g} Hz, {axis.value} up"
+    seconds = f"{path.name}: {len(whole)} frames at {rate:g} Hz, {axis} up"
     used = f"from {start_time:g} s on" + (f", its last pose held for {held} of {frames} frames" if held else "")
     return placed, (f"{seconds}; {used}", *notes)
-
-
-def sole_height(body: Body) -> float:
-    """Height of the lowest joint when the body's soles stand on the ground [m]."""
-    return float(joint_paths(body, stand_motion(body, 1, 1.0))[0, :, 2].min())
 
 
 def _from_bvh(path: Path, body: Body) -> tuple[Array, Array, float, tuple[str, ...]]:
     recording = read_bvh(path)
     names, parents = [j.name for j in recording.joints], [j.parent for j in recording.joints]
-    try:
+    with about(path):
         local, translation = retarget(
             names, parents, recording.rest_positions(), *recording.poses(), np.asarray(body.rest_joints)
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     unused = [name for row, name in enumerate(names) if row not in map_joints(names, parents).values()]
     return local, translation, recording.fps, (f"joints not used: {', '.join(unused)}",) if unused else ()
 
 
-def _up_axis(root: Array, path: Path) -> UpAxis:
+def _up_axis(root: Array, path: Path) -> str:
     _, y, z = root[:, :, 1].mean(axis=0)
     if max(y, z) < 0.3 or abs(y - z) < 0.1:
-        raise InputError(f"stage.motion.up: cannot tell the up axis of {path}; say stage.motion.up=y or z")
-    return UpAxis.y if y > z else UpAxis.z
+        raise InputError(f"up: cannot tell the up axis of {path}; say up=y or z")
+    return "y" if y > z else "z"
 
 
 def _motion(local: Array, translation: Array, fps: float) -> Motion:
@@ -106,8 +97,7 @@ def _motion(local: Array, translation: Array, fps: float) -> Motion:
 def _from_origin_facing_plus_y(motion: Motion, fps: float) -> Motion:
     rows = torch.from_numpy(motion.orientation).unflatten(-1, (2, 3))
     root = torch.cat([rows, torch.linalg.cross(rows[:, 0], rows[:, 1])[:, None]], dim=1)
-    forward = torch.tensor([np.cos(FACING_PLUS_Y), np.sin(FACING_PLUS_Y)], dtype=root.dtype)
-    turn = turn_about_z(forward) @ turn_about_z(heading_of(root[0])).mT
+    turn = towards_plus_y(root[0])
     moved = motion.translation - motion.translation[0] * (1, 1, 0)
     return Motion(
         translation=(moved @ turn.numpy().T).astype(np.float32),

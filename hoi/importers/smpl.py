@@ -117,7 +117,7 @@ def load_smpl(
         InputError: the file is broken or of another kind, unknown outfit, too few Gaussians, impossible betas.
     """
     if outfit not in OUTFITS:
-        raise InputError(f"human.person={outfit!r}: no such outfit; choose one of {', '.join(OUTFITS)}")
+        raise InputError(f"person={outfit!r}: no such outfit; choose one of {', '.join(OUTFITS)}")
     if gaussians < MIN_GAUSSIANS:
         raise InputError(f"gaussians={gaussians}: must be at least {MIN_GAUSSIANS}")
     model = read_smpl(path)

@@ -12,14 +12,47 @@ import roma
 import torch
 
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
-from hoi.data import Array, Motion
+from hoi.body.skinning import joint_paths
+from hoi.data import Array, Motion, ObjectTrajectory, Scene, Target
+from hoi.method.attraction import carried_strike
+from hoi.method.scene_representation import check_apart, is_apart
 
 WAITING = 0.02
 """Vertical distance [m] that a frame of waiting, or of haste, is worth."""
 SOONEST = 5
 """Frame before which no strike is moved."""
+BACK, BACK_STEP = 0.5, 0.02
+"""How far, and in which steps, a person is moved back who would start inside the object [m]."""
 NO_DIRECTION = 0.01
 """What is nearer to the origin than this lies in no direction [m]."""
+
+
+def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> tuple[Motion, Target]:
+    """The motion, from where its strike ends at the object's surface, at a time when the object is at its height.
+
+    Who begins with a limb farther out than the strike ends would begin inside the object: they stand as much farther
+    back, and have that much farther to reach.
+
+    Raises:
+        InputError: the person would start inside the object `BACK` away from it.
+    """
+    meeting = target.meeting_frame(scene.frames)
+    height = float(joint_paths(scene.body, motion, frames=[meeting])[0, target.joint, 2])
+    later = delay(height, trajectory.com[:, 2], meeting)
+    motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
+    there = placed(
+        motion,
+        lambda moved: joint_paths(scene.body, moved, frames=[meeting])[0, target.joint],
+        lambda moved: carried_strike(scene, moved, trajectory, target)[meeting],
+        trajectory.com[meeting],
+    )
+    away = (there.translation[0] - trajectory.com[0]) * [1.0, 1.0, 0.0]
+    away = away / max(float(np.linalg.norm(away)), 1e-9)
+    for back in np.arange(0.0, BACK, BACK_STEP):
+        if is_apart(scene, moved := shifted(there, back * away)):
+            break
+    check_apart(scene, moved)
+    return moved, target
 
 
 def turned(motion: Motion, angle: float) -> Motion:

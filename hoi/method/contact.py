@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from hoi.body.skeleton import JOINT_COUNT
-from hoi.body.skinning import posed_means
-from hoi.data import Array, Body, Contact, ContactSearch, Motion, ObjectTrajectory
+from hoi.body.limbs import Limbs
+from hoi.body.skinning import joint_paths
+from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, SceneObject
 
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
@@ -56,35 +56,8 @@ def touch(limb: Array, surface: Array, distance: float) -> _Touch:
     return _Touch(fraction, float(to_object.min()), touching.mean(axis=0) if len(touching) else None)
 
 
-class Limbs:
-    """The Gaussians of each joint: i belongs to argmax_k w_ik."""
-
-    def __init__(self, body: Body, motion: Motion) -> None:
-        self._body, self._motion = body, motion
-        dominant = body.skinning_weights.argmax(axis=1)
-        self.members = [np.flatnonzero(dominant == joint) for joint in range(JOINT_COUNT)]
-        self.joints = [joint for joint in range(JOINT_COUNT) if len(self.members[joint])]
-        means = posed_means(body, motion)
-        self.at_frames = {joint: means[:, self.members[joint]] for joint in self.joints}
-        """World means at whole frames [m], (T, M, 3) a joint."""
-
-    def at(self, joint: int, frames: Array) -> Array:
-        """World means of a joint's Gaussians at fractional frames [m], (F, M, 3)."""
-        return posed_means(self._body, self._motion, frames=frames, subset=self.members[joint])
-
-
 def find_contact(
-    body: Body,
-    motion: Motion,
-    joints: Array,
-    trajectory: ObjectTrajectory,
-    gaussians: int,
-    *,
-    mass: float,
-    restitution: float,
-    tau: float,
-    distance: float,
-    between_frames: bool,
+    scene: Scene, motion: Motion, trajectory: ObjectTrajectory, *, tau: float, distance: float, between_frames: bool
 ) -> ContactSearch:
     """The first contact that pushes the object, and any separating touch before it.
 
@@ -92,12 +65,12 @@ def find_contact(
     `distance` of an object Gaussian.
 
     Args:
-        joints: world joint positions at whole frames [m], (T, 24, 3).
-        trajectory: the object's free motion; the first `gaussians` of its particles are its Gaussians.
-        mass: of the object [kg].
+        trajectory: the object's free motion.
+        tau: tau_contact [-]. distance: d_contact [m].
+        between_frames: whether to look between frames too.
     """
-    limbs = Limbs(body, motion)
-    surface = trajectory.positions[:, :gaussians]
+    limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
+    surface = trajectory.positions[:, : len(scene.thing.cloud)]
     gap, gap_frame, gap_joint = _smallest_gap(limbs, surface)
     contacts: list[Contact] = []
     touched_before: set[int] = set()
@@ -112,7 +85,7 @@ def find_contact(
                 touching[joint] = found
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):
             v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
-            contact = _contact(touching[joint], joint, frame, v_human, trajectory, mass, restitution)
+            contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing)
             if contact.v_in > 0:
                 return ContactSearch((*contacts, contact), gap, gap_frame, gap_joint)
             if joint not in touched_before:
@@ -127,8 +100,7 @@ def _contact(
     frame: float,
     v_human: Array,
     trajectory: ObjectTrajectory,
-    mass: float,
-    restitution: float,
+    thing: SceneObject,
 ) -> Contact:
     assert found.point is not None
     v_object = _at(trajectory.com_velocity, frame)
@@ -138,8 +110,8 @@ def _contact(
         towards_com = v_human - v_object
         length = max(float(np.linalg.norm(towards_com)), 1e-12)
     normal = towards_com / length
-    v_in, v_post = impulse(v_human, v_object, normal, restitution)
-    given = mass * (v_post - v_object)
+    v_in, v_post = impulse(v_human, v_object, normal, thing.material.restitution)
+    given = float(thing.masses.sum()) * (v_post - v_object)
     return Contact(frame, joint, found.fraction, found.point, normal, v_human, v_object, v_in, v_post, given, found.gap)
 
 

@@ -2,19 +2,26 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from hoi.body.kinematics import joint_positions
-from hoi.data import Motion
+from hoi.body.kinematics import joint_positions, leg_length
+from hoi.body.skinning import sole_height, stand_motion
+from hoi.data import Motion, Scene
 from hoi.errors import RunError
+from hoi.importers.motions import read_motion
 from hoi.motion import features
-from hoi.motion.diffusion import q_sample
-from hoi.motion.prior import MotionPrior
-from hoi.runner.progress import Stage
+from hoi.motion.diffusion import ancestral_sample, ddim_sample, q_sample
+from hoi.motion.prior import MotionPrior, load_prior
+from hoi.reports import Stage
 from hoi.streams import stream_seed
+
+if TYPE_CHECKING:
+    from hoi.stages.motion.hmsd import HMSD
 
 PELVIS_VELOCITY = slice(1, 3)
 """Where `hoi.motion.features` has the pelvis' velocity along the ground."""
@@ -76,11 +83,6 @@ class PoseParameters:
 def stream_generators(seeds: Sequence[int], name: str) -> list[torch.Generator]:
     """The stream `name` of each run (see `hoi.streams`)."""
     return [torch.Generator().manual_seed(stream_seed(seed, name)) for seed in seeds]
-
-
-def leg_length(rest_joints: Tensor) -> Tensor:
-    """Height of the pelvis above the lowest joint in the T-pose [m]."""
-    return rest_joints[0, 1] - rest_joints[:, 1].min()
 
 
 @dataclass(frozen=True)
@@ -180,3 +182,83 @@ def optimise(
             stage.iteration(iteration, {name: value[row] for name, value in values.items()})
     if not all(bool(leaf.isfinite().all()) for leaf in pose.leaves()):
         raise RunError("the motion is not finite after the last iteration; lower the guidance or learning rate")
+
+
+def load_distillation(scene: Scene, settings: "HMSD", device: str, stand: bool = False) -> ScoreDistillation:
+    """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still."""
+    prior = load_prior(Path(settings.checkpoint) if settings.checkpoint else None, device)
+    body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
+    return ScoreDistillation(
+        prior=prior,
+        text=prior.encode_text([scene.motion_prompt]),
+        leg_ratio=float(leg_length(prior.rest_joints) / body_leg),
+        sole_height=sole_height(scene.body),
+        guidance=settings.guidance,
+        rescale=settings.guidance_rescale,
+        t_min=settings.t_min,
+        t_max=min(settings.t_max, prior.timesteps),
+        stand=stand,
+    )
+
+
+def synthesise(
+    scene: Scene,
+    distillation: ScoreDistillation | None,
+    settings: "HMSD",
+    seeds: Sequence[int],
+    stages: Sequence[Stage],
+) -> list[Motion]:
+    """N_init iterations of L_HMSD from a sample of the prior, from the standing pose or from a motion file.
+
+    One motion a seed, optimised as one batch; `stages` are told of one each. There need be no distillation where
+    neither a sample nor an iteration is wanted (the plan knows).
+    """
+    start = stand_motion(scene.body, scene.frames, scene.fps)
+    if settings.init == "file":
+        assert settings.path is not None  # checked by `validate`
+        start, notes = read_motion(
+            Path(settings.path), scene.body, scene.frames, scene.fps, settings.start_time, settings.up
+        )
+        for stage in stages:
+            stage.notes.extend(notes)
+    if distillation is None:
+        return [start for _ in seeds]
+    if settings.init == "sample":
+        starts = sample_motions(scene, distillation, settings, seeds)
+    else:
+        starts = [start for _ in seeds]
+    pose = PoseParameters.of(starts, str(distillation.prior.device))
+    generators = stream_generators(seeds, "motion")
+    optimise(
+        pose,
+        lambda: {"hmsd": distillation.loss(pose, generators)},
+        {"hmsd": 1.0},
+        settings.iterations,
+        settings.learning_rate,
+        stages,
+    )
+    return pose.motions(scene.fps)
+
+
+def sample_motions(
+    scene: Scene, distillation: ScoreDistillation, settings: "HMSD", seeds: Sequence[int]
+) -> list[Motion]:
+    """One motion a seed drawn from the prior, on this body, from the origin facing +Y.
+
+    Raises:
+        RunError: the prior's sample is not finite.
+    """
+    prior, shape = distillation.prior, (len(seeds), scene.frames, features.FEATURE_COUNT)
+
+    def predict(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        return distillation.predict_x0(x, t, settings.sample_guidance, settings.sample_rescale)
+
+    sample = ddim_sample if settings.sampler == "ddim" else ancestral_sample
+    steps = None if settings.sample_steps is None else min(settings.sample_steps, prior.timesteps)
+    generators = stream_generators(seeds, "sample")
+    x0 = sample(predict, shape, prior.alphas_cumprod, generators, steps, prior.device)
+    translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(prior.denormalise(x0)))
+    translation = translation / distillation.leg_ratio + np.array([0, 0, distillation.sole_height], translation.dtype)
+    if not all(np.isfinite(values).all() for values in (translation, orientation, body_pose)):
+        raise RunError("the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior")
+    return [Motion(*parts, fps=scene.fps) for parts in zip(translation, orientation, body_pose, strict=True)]

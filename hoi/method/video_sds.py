@@ -1,21 +1,25 @@
 """Temporally masked Video-SDS (paper, Video-SDS for Contact Fidelity and Video-SDS Details)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from hoi.config import Config, VideoSDSConf
-from hoi.data import Motion, ObjectTrajectory, Scene
+from hoi.data import Motion, ObjectTrajectory, Scene, State
 from hoi.errors import RefineStopped
 from hoi.refine.clip import Clip, across, contact_framing, viewpoints
 from hoi.refine.geometric import Geometry
 from hoi.refine.meeting import meet
 from hoi.refine.window import Window, WindowedPose
-from hoi.runner.progress import Stage
+from hoi.reports import Stage
 from hoi.streams import stream_seed
-from hoi.video_prior import VideoPrior, load_video_prior
+from hoi.video_prior import VideoPrior
+
+if TYPE_CHECKING:
+    from hoi.stages.refine.video_sds import VideoSDS
 
 REMEDY = "lower stage.refine.guidance or learning_rate, or use stage/refine=geometric"
 SMALLER = (
@@ -40,10 +44,10 @@ def weight(alpha_bar: Tensor) -> Tensor:
     return (alpha_bar * (1 - alpha_bar)).sqrt()
 
 
-def latest_timestep(conf: VideoSDSConf, iteration: int) -> int:
+def latest_timestep(settings: "VideoSDS", iteration: int) -> int:
     """t_max(i): falls linearly from `t_max` to `t_max_end` in `t_max_iterations` and stays there."""
-    share = min(iteration / conf.t_max_iterations, 1.0) if conf.t_max_iterations else 1.0
-    return round(conf.t_max + share * (conf.t_max_end - conf.t_max))
+    share = min(iteration / settings.t_max_iterations, 1.0) if settings.t_max_iterations else 1.0
+    return round(settings.t_max + share * (settings.t_max_end - settings.t_max))
 
 
 @dataclass(frozen=True)
@@ -100,72 +104,48 @@ class Draws:
 
 
 def video_sds(
-    scene: Scene,
-    motion: Motion,
-    trajectory: ObjectTrajectory,
-    window: Window,
-    config: Config,
-    device: torch.device | str,
-    stage: Stage,
-    enough: Callable[[Motion], bool] | None = None,
-) -> Motion:
-    """The motion with theta in the window refined by the video prior that the config names.
-
-    Args:
-        enough: whether a motion needs no more of it; None: all iterations are done.
-
-    Raises:
-        InputError: the prior cannot be loaded.
-        RefineStopped: as `refine_with`, or out of memory.
-    """
-    conf = config.stage.refine
-    assert isinstance(conf, VideoSDSConf)
-    try:
-        prior = load_video_prior(conf, device)
-        prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
-        return refine_with(prior, scene, motion, trajectory, window, conf, config.seed, device, stage, enough)
-    except (MemoryError, RuntimeError) as error:
-        if not _out_of_memory(error):
-            raise
-        reason = next(iter(str(error).splitlines()), "no more to be had")
-        raise RefineStopped(f"out of memory in stage 3: {reason}; {SMALLER}") from error
-
-
-def refine_with(
     prior: VideoPrior,
     scene: Scene,
-    motion: Motion,
-    trajectory: ObjectTrajectory,
+    state: State,
     window: Window,
-    conf: VideoSDSConf,
+    settings: "VideoSDS",
+    *,
     seed: int,
     device: torch.device | str,
     stage: Stage,
     enough: Callable[[Motion], bool] | None = None,
 ) -> Motion:
-    """`video_sds` with a prior that is ready. Each iteration looks from one viewpoint, at one noise level.
+    """The motion with theta in the window refined by a prior.
+
+    Each iteration looks from one viewpoint, at one noise level.
+
+    Args:
+        prior: prepared for the scene's prompt.
+        enough: whether a motion needs no more of it; None: all iterations are done.
 
     Raises:
         RefineStopped: the prior's output or a gradient is not finite.
     """
+    motion, trajectory = state.motion, state.trajectory
+    assert motion is not None and trajectory is not None
     stage.notes.append(f"video prior: {prior.name}")
     pose = WindowedPose(motion, window, device)
     frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
     clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
     contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
-    views = viewpoints(clip, contact, conf.viewpoints, conf.elevation, conf.distance, prior.size)
+    views = viewpoints(clip, contact, settings.viewpoints, settings.elevation, settings.distance, prior.size)
     if prior.sees_silhouettes and window.push is not None:
         views = across(views, window.push.normal) or views
     draws = Draws(seed)
     rows = torch.tensor(window.frames, device=device)
-    other_losses = _other_losses(pose, scene, trajectory, conf, device)
+    other_losses = _other_losses(pose, scene, trajectory, settings, device)
 
-    optimiser = torch.optim.Adam([pose.offset], lr=conf.learning_rate)
-    for iteration in range(conf.iterations):
+    optimiser = torch.optim.Adam([pose.offset], lr=settings.learning_rate)
+    for iteration in range(settings.iterations):
         camera = views[draws.viewpoint(len(views))]
-        t = draws.timestep(conf.t_min, latest_timestep(conf, iteration))
+        t = draws.timestep(settings.t_min, latest_timestep(settings, iteration))
         z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
-        residual = distil(z, draws.noise(z), t, prior, conf.guidance, conf.guidance_rescale)
+        residual = distil(z, draws.noise(z), t, prior, settings.guidance, settings.guidance_rescale)
         terms = {"sds": residual.loss.to(pose.offset), **other_losses()}
         optimiser.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
@@ -175,7 +155,7 @@ def refine_with(
         losses = {name: float(term.detach()) for name, term in terms.items()}
         stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
         if enough is not None and enough(pose.motion()):
-            stage.notes.append(f"enough after {iteration + 1} of {conf.iterations} iterations")
+            stage.notes.append(f"enough after {iteration + 1} of {settings.iterations} iterations")
             break
     return pose.motion()
 
@@ -184,20 +164,32 @@ def _other_losses(
     pose: WindowedPose,
     scene: Scene,
     trajectory: ObjectTrajectory,
-    conf: VideoSDSConf,
+    settings: "VideoSDS",
     device: torch.device | str,
 ) -> Callable[[], dict[str, Tensor]]:
     """What the config adds to Video-SDS, already weighted; nothing for the paper."""
-    meeting = meet(scene, pose.before, trajectory, pose.window) if conf.lambda_geometry else None
-    geometry = Geometry(meeting, conf, device) if meeting is not None else None
+    meeting = meet(scene, pose.before, trajectory, pose.window) if settings.lambda_geometry else None
+    geometry = Geometry(meeting, settings, device) if meeting is not None else None
 
     def others() -> dict[str, Tensor]:
-        terms = {"smooth": conf.lambda_smooth * pose.roughness()} if conf.lambda_smooth else {}
+        terms = {"smooth": settings.lambda_smooth * pose.roughness()} if settings.lambda_smooth else {}
         if geometry is not None:
-            terms |= {name: conf.lambda_geometry * term for name, term in geometry.terms(pose).items()}
+            terms |= {name: settings.lambda_geometry * term for name, term in geometry.terms(pose).items()}
         return terms
 
     return others
+
+
+@contextmanager
+def memory_may_run_out() -> Iterator[None]:
+    """In here it is no failure of the run: RefineStopped, with what would take less."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not _out_of_memory(error):
+            raise
+        reason = next(iter(str(error).splitlines()), "no more to be had")
+        raise RefineStopped(f"out of memory in stage 3: {reason}; {SMALLER}") from error
 
 
 def _out_of_memory(error: BaseException) -> bool:

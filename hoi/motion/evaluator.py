@@ -1,11 +1,11 @@
 """A judge of motions: sentences and motions in one space, close where the one describes the other.
 
-`hoi.training.motion.train_evaluator` trains it on the clips that priors are trained on, never on those held out.
+`hoi.training.motion.evaluator` trains it on the clips that priors are trained on, never on those held out.
 Contrastive as in TMR (Petrovich et al. 2023) and the evaluators of text-to-motion (Guo et al. 2022), but small: what it
 knows are a few dozen kinds of motion and their sides.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -14,18 +14,14 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from hoi.errors import InputError
+from hoi.files import whole_file
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.text import TextEncoder, default_cache, minilm
-from hoi.training.motion.dataset import TrainingSet
 
 FILE_NAME = "evaluator.safetensors"
 FORMAT = "hoi motion evaluator 1"
 SHIPPED = Path(__file__).parent / "weights" / FILE_NAME
 DIMENSION, WIDTH = 64, 128
-TEMPERATURE = 0.1
-KNOWN = 1024
-"""Real motions that it remembers, for `Evaluator.strangeness`."""
-STD_FLOOR = 0.02
 
 
 class Towers(nn.Module):
@@ -80,59 +76,13 @@ class Evaluator:
         return torch.cdist(self.embed_motion(features), self.known).amin(-1)
 
 
-def contrast(motion: Tensor, text: Tensor, fits: Tensor) -> Tensor:
-    """Cross-entropy both ways, over a batch in which several sentences may fit a motion and the reverse.
-
-    Args:
-        motion, text: (B, DIMENSION).
-        fits: whether sentence j describes motion i, (B, B).
-    """
-    likeness = nn.functional.normalize(motion, dim=-1) @ nn.functional.normalize(text, dim=-1).T / TEMPERATURE
-    wanted = fits.to(likeness)
-    forth = -(wanted / wanted.sum(1, keepdim=True) * likeness.log_softmax(1)).sum(1).mean()
-    back = -(wanted / wanted.sum(0, keepdim=True) * likeness.log_softmax(0)).sum(0).mean()
-    return (forth + back) / 2
-
-
-def train_evaluator(data: TrainingSet, steps: int = 600, batch: int = 192, seed: int = 0) -> Evaluator:
-    """Train on the windows of `data`, drawn by the root of their weights: evenly enough that rare kinds are learnt."""
-    torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
-    encoder = minilm(default_cache())
-    text = encoder.embed(data.captions)
-    towers = Towers(text.shape[1], dropout=0.2)
-    towers.mean = data.features.mean((0, 1))
-    towers.std = data.features.std((0, 1)).clamp(min=STD_FLOOR)
-    described = torch.zeros(len(data.features), len(data.captions), dtype=torch.bool)
-    for window, rows in enumerate(data.caption_choices):
-        described[window, rows] = True
-    optimiser = torch.optim.AdamW(towers.parameters(), lr=1e-3, weight_decay=0.05)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    towers.train()
-    for _ in range(steps):
-        windows = torch.multinomial(data.weights.sqrt(), batch, replacement=True, generator=generator)
-        captions = torch.multinomial(described[windows].float(), 1, generator=generator)[:, 0]
-        noise = 0.05 * torch.randn(batch, text.shape[1], generator=generator) / text.shape[1] ** 0.5
-        loss = contrast(
-            towers.embed_motion(data.features[windows]),
-            towers.embed_text(text[captions] + noise),
-            described[windows][:, captions],
-        )
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
-    evaluator = Evaluator(towers.eval().requires_grad_(False), encoder, torch.empty(0, DIMENSION))
-    real = torch.multinomial(data.weights.sqrt(), min(KNOWN, len(data.features)), generator=generator)
-    return replace(evaluator, known=evaluator.embed_motion(data.features[real]))
-
-
 def save_evaluator(evaluator: Evaluator, path: Path) -> None:
     """One safetensors file with what it was made with."""
     path.parent.mkdir(parents=True, exist_ok=True)
     state = {name: value.contiguous() for name, value in evaluator.towers.state_dict().items()}
     state["known"] = evaluator.known.contiguous()
-    path.write_bytes(save(state, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256}))
+    with whole_file(path) as part:
+        part.write_bytes(save(state, {"format": FORMAT, "text_encoder": evaluator.text_encoder.sha256}))
 
 
 def load_evaluator(path: Path = SHIPPED, text_cache: Path | None = None) -> Evaluator:

@@ -46,6 +46,12 @@ def turn_about_z(direction: Tensor) -> Tensor:
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
+def towards_plus_y(rotation: Tensor) -> Tensor:
+    """The turn about z, (3, 3), after which a person with the pelvis rotation (3, 3) faces +Y."""
+    forward = torch.tensor([math.cos(FACING_PLUS_Y), math.sin(FACING_PLUS_Y)], dtype=rotation.dtype)
+    return turn_about_z(forward) @ turn_about_z(heading_of(rotation)).mT
+
+
 def _repeat_last_acceleration(velocity: Tensor) -> Tensor:
     """(..., T-1, n) -> (..., T, n): the velocity after the last frame, which nobody has seen."""
     return torch.cat([velocity, 2 * velocity[..., -1:, :] - velocity[..., -2:-1, :]], dim=-2)

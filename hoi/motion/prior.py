@@ -1,9 +1,8 @@
 """The motion prior: a denoiser with its statistics, text encoder and skeleton, from the package or a user's file."""
 
 import json
-import os
 import warnings
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
+from hoi.body.kinematics import leg_length
 from hoi.body.skeleton import JOINT_COUNT
+from hoi.body.skinning import sole_height
+from hoi.data import Body, Motion
 from hoi.errors import InputError
+from hoi.files import whole_file
 from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, guide
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.mdm import Architecture, MotionDenoiser
@@ -118,6 +121,13 @@ class MotionPrior:
         )
         return self.denormalise(x0)[0]
 
+    def on_body(self, motion: Motion, body: Body) -> Motion:
+        """The motion of the prior's skeleton on a body of other size, its soles on the ground."""
+        ratio = float(leg_length(torch.as_tensor(body.rest_joints)) / leg_length(self.rest_joints.cpu()))
+        translation = motion.translation * np.float32(ratio)
+        translation[:, 2] += sole_height(body)
+        return replace(motion, translation=translation)
+
 
 def load_prior(
     path: str | Path | None = None,
@@ -154,11 +164,9 @@ def load_prior(
 
 
 def _to(prior: MotionPrior, device: torch.device) -> MotionPrior:
-    moved: dict[str, Any] = {field.name: getattr(prior, field.name) for field in fields(prior)}
-    for name, value in moved.items():
-        if isinstance(value, Tensor | MotionDenoiser):
-            moved[name] = value.to(device)
-    return MotionPrior(**moved)
+    parts = {field.name: getattr(prior, field.name) for field in fields(prior)}
+    moved = {name: part.to(device) for name, part in parts.items() if isinstance(part, Tensor | MotionDenoiser)}
+    return replace(prior, **moved)
 
 
 # --- our own format ---------------------------------------------------------------------------------------------------
@@ -176,14 +184,10 @@ def write_prior(folder: Path, state: dict[str, Tensor], description: dict[str, A
         name: (value.half() if name.startswith(DENOISER_PREFIX) else value.float()).contiguous()
         for name, value in state.items()
     }
-    _replace(folder / WEIGHTS_NAME, save(stored))
-    _replace(folder / DESCRIPTION_NAME, (json.dumps({"format": FORMAT, **description}, indent=1) + "\n").encode())
-
-
-def _replace(path: Path, content: bytes) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)
+    with whole_file(folder / WEIGHTS_NAME) as part:
+        part.write_bytes(save(stored))
+    with whole_file(folder / DESCRIPTION_NAME) as part:
+        part.write_text(json.dumps({"format": FORMAT, **description}, indent=1) + "\n")
 
 
 def _load_own(folder: Path, cache: Path) -> MotionPrior:

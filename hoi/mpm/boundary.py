@@ -13,7 +13,7 @@ in the capsule instead, it is felt from 1.0 to 1.4 dx before its surface, and on
 # Kernel annotations are values, not types, and vectors can be sliced.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
-import taichi as ti
+from hoi.compute import ti
 
 COULOMB, SLIP, STICK = 0.0, 1.0, 2.0
 """Kinds of contact as the kernels read them."""

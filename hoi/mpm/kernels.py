@@ -1,8 +1,8 @@
 """MLS-MPM in Taichi: particle to grid, grid, grid to particle, for one window of the grid.
 
 The scheme is Hu et al. 2018, A Moving Least Squares Material Point Method, section 4, with APIC transfers (Jiang et al.
-2015); `hoi.mpm.reference` is the same in NumPy and is to be read first. With D = dx^2/4 for quadratic and dx^2/3 for
-cubic B-splines, one step is
+2015); `tests/mpm/mpm_reference.py` is the same in NumPy and is to be read first. With D = dx^2/4 for quadratic and
+dx^2/3 for cubic B-splines, one step is
 
     p2g   m_i = sum_p w_ip m_p,   (m v)_i = sum_p w_ip [m_p v_p + (m_p C_p - dt V_p tau(F_p) / D) (x_i - x_p)]
     grid  v_i = (m v)_i / m_i + dt g, then planes and capsules (`hoi.mpm.boundary`)
@@ -26,11 +26,14 @@ is a thread and one grid takes atomics.
 # Kernel annotations are values, not types, and vectors can be sliced.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
-import taichi as ti
+import functools
+from collections.abc import Sequence
 
-from hoi.compute import CPU_TASK
+from hoi.compute import CPU_TASK, ti
 from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule
-from hoi.mpm.constitutive import FLOWS, KEEPS_TOTAL, kirchhoff_stress, return_map, stiffness
+from hoi.mpm.law import Kernels
+from hoi.mpm.laws import LAWS
+from hoi.mpm.tensor_kernels import epsilon
 
 DONE, AT_RIM, INVERTED, STOP = 0, 1, 2, 3
 """Places in `status`: steps done; a particle is at the rim of the window; some J <= 0; either, once a step is over."""
@@ -38,9 +41,20 @@ NOT_FINITE = 1e30
 """Stands for infinity, which fast arithmetic takes not to exist."""
 
 
-def any_of(kinds: frozenset[str], models: tuple[str, ...]) -> bool:
-    """Whether one of the models is of these kinds."""
-    return not kinds.isdisjoint(models)
+def flow(models: Sequence[str]) -> bool:
+    """Whether one of the laws flows."""
+    return any(LAWS[model].flows for model in models)
+
+
+def keep_total(models: Sequence[str]) -> bool:
+    """Whether one of the laws keeps the total F beside the elastic one."""
+    return any(LAWS[model].keeps_total for model in models)
+
+
+@functools.cache
+def functions(model: str) -> Kernels:
+    """Of the law of that name."""
+    return LAWS[model].kernels()
 
 
 @ti.func
@@ -97,7 +111,7 @@ def matrix(a, b, c):
 
 @ti.func
 def parameters_of(materials: ti.template(), row):
-    """The 8 numbers of `hoi.mpm.constitutive.parameters`."""
+    """The `PARAMETERS` numbers of a material's law."""
     a, b = materials[3 * row], materials[3 * row + 1]
     return ti.Vector([a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]])
 
@@ -112,18 +126,28 @@ def add(grid: ti.template(), node, contribution, atomic: ti.template()):
 
 @ti.func
 def stress_columns(model: ti.template(), f0, f1, f2, j, c0, c1, c2, p, hardening, tolerance):
-    """The columns of `kirchhoff_stress`; for the commonest model whole columns at once."""
+    """The columns of tau."""
     t0, t1, t2 = zero(), zero(), zero()
-    if ti.static(model == "neo_hookean"):
-        mu, pressure = p[0], p[1] * ti.log(j) - p[0]
-        t0 = mu * (f0[0] * f0 + f1[0] * f1 + f2[0] * f2) + ti.Vector([pressure, 0.0, 0.0, 0.0])
-        t1 = mu * (f0[1] * f0 + f1[1] * f1 + f2[1] * f2) + ti.Vector([0.0, pressure, 0.0, 0.0])
-        t2 = mu * (f0[2] * f0 + f1[2] * f1 + f2[2] * f2) + ti.Vector([0.0, 0.0, pressure, 0.0])
+    if ti.static(functions(model).stress_columns):
+        t0, t1, t2 = ti.static(functions(model)).stress_columns(f0, f1, f2, j, p)
     else:
         t0, t1, t2 = columns(
-            kirchhoff_stress(model, matrix(f0, f1, f2), j, matrix(c0, c1, c2), p, hardening, tolerance)
+            ti.static(functions(model)).stress(matrix(f0, f1, f2), j, matrix(c0, c1, c2), p, hardening, tolerance)
         )
     return t0, t1, t2
+
+
+@ti.func
+def stiffness(model: ti.template(), f, j, p, hardening):
+    """M [Pa], an upper bound of rho_0 c^2 for every wave in the deformed state: the law's own and the norm of tau.
+
+    Where a body is so strained that its stress is not small beside the law's bound, the grid is stiffer than the
+    material, as forces change with where in its cell a particle is. Measured, the norm of tau is enough to make up for
+    that (`hoi.mpm.stability`).
+    """
+    m = ti.static(functions(model)).stiffness(f, j, p, hardening)
+    at_rest = ti.Matrix.zero(float, 3, 3)
+    return m + ti.static(functions(model)).stress(f, j, at_rest, p, hardening, ti.static(epsilon())).norm()
 
 
 @ti.func
@@ -242,17 +266,17 @@ def gather(p, size: ti.template(), models: ti.template(), x: ti.template(), v: t
     f0 += dt * (f0[0] * c0 + f0[1] * c1 + f0[2] * c2)
     f1 += dt * (f1[0] * c0 + f1[1] * c1 + f1[2] * c2)
     f2 += dt * (f2[0] * c0 + f2[1] * c1 + f2[2] * c2)
-    if ti.static(any_of(FLOWS, models)):
+    if ti.static(flow(models)):
         row = region[ti.min(p, region.shape[0] - 1)]
         for i in ti.static(range(len(models))):
-            if ti.static(models[i] in FLOWS):
+            if ti.static(LAWS[models[i]].flows):
                 if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
-                    elastic, hard = return_map(
-                        models[i], matrix(f0, f1, f2), hardening[p], parameters_of(materials, row), dt
+                    elastic, hard = ti.static(functions(models[i])).return_map(
+                        matrix(f0, f1, f2), hardening[p], parameters_of(materials, row), dt
                     )
                     hardening[p] = hard
                     f0, f1, f2 = columns(elastic)
-    if ti.static(any_of(KEEPS_TOTAL, models)):
+    if ti.static(keep_total(models)):
         for a in ti.static(range(3)):
             g = total[3 * p + a]
             total[3 * p + a] = g + dt * (g[0] * c0 + g[1] * c1 + g[2] * c2)

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import taichi as ti
 from numpy.typing import ArrayLike, NDArray
 
-from hoi.compute import Device, Precision, start_taichi
+from hoi.compute import Device, Precision, start_compiler, ti
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
-from hoi.mpm import boundary, constitutive, kernels
+from hoi.mpm import boundary, kernels
 from hoi.mpm.collider import Collider
+from hoi.mpm.law import PARAMETERS
+from hoi.mpm.laws import LAWS
+from hoi.mpm.materials import parameters
 from hoi.mpm.stability import DEFAULT_FRACTION, STABLE_CFL, choose_time_step, diffusivity, stable_step
 from hoi.mpm.state import centre_of_mass, check_state, energies
 
@@ -199,7 +201,7 @@ class Simulation:
         self.push_start, self.push_end = math.inf, -math.inf
 
         started = time.perf_counter()
-        start_taichi(precision, threads, device)
+        start_compiler(precision, threads, device)
         self.on_gpu, self.threads = device == "cuda", 1 if device == "cuda" else threads
         self.serial = device == "cpu" and threads == 1
         self.real = ti.f32 if precision == "float32" else ti.f64
@@ -217,15 +219,14 @@ class Simulation:
         elastic = state.deformation_gradient if state.elastic is None else state.elastic
         self.f = _vectors(_columns(elastic), real)
         self.models = tuple(dict.fromkeys(material.model for material in self.materials))
-        self.flows = any(model in constitutive.FLOWS for model in self.models)
-        self.keeps_total = any(model in constitutive.KEEPS_TOTAL for model in self.models)
+        self.flows, self.keeps_total = kernels.flow(self.models), kernels.keep_total(self.models)
         self.total = _vectors(_columns(state.deformation_gradient) if self.keeps_total else np.zeros((1, 3)), real)
         hardening = np.zeros(count) if state.hardening is None else state.hardening
         self.hardening = _numbers(hardening if self.flows else np.zeros(1), real)
         self.mass, self.volume = _numbers(self.masses, real), _numbers(self.volumes, real)
         self.region_of = _numbers(np.zeros(1) if self.region is None else self.region, ti.i32)
         rows = [
-            [*constitutive.parameters(material), material.density, self.models.index(material.model), 0.0, 0.0]
+            [*_padded(material), material.density, self.models.index(material.model), 0.0, 0.0]
             for material in self.materials
         ]
         self.parameters = _vectors(np.reshape(rows, (-1, 4)), real)
@@ -314,7 +315,7 @@ class Simulation:
         if self.keeps_total:
             total = _matrices(self.total)
             if len(self.models) > 1:  # some regions may have no total
-                keeps = np.array([material.model in constitutive.KEEPS_TOTAL for material in self.materials])
+                keeps = np.array([LAWS[material.model].keeps_total for material in self.materials])
                 total = np.where(keeps[self.region if self.region is not None else [0]][:, None, None], total, elastic)
         state = ObjectState(
             positions=np.ascontiguousarray(self.x.to_numpy()[:, :3]),
@@ -471,6 +472,12 @@ class Simulation:
             f"{what}; the simulation has diverged (CFL {self.cfl:.2g}): use a smaller time step, or a stiffer material "
             "if the impact is meant to be this hard"
         )
+
+
+def _padded(material: Material) -> list[float]:
+    """The numbers of a material's law as the kernels take them."""
+    numbers = list(parameters(material))
+    return numbers + [0.0] * (PARAMETERS - len(numbers))
 
 
 def _corners(low: Array, high: Array) -> Array:

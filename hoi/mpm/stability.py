@@ -10,7 +10,7 @@ random): the CFL number (c + |v|) dt / dx, with the P-wave speed c at rest, abov
 
 It does not depend on E, rho or the speed of the whole body. Impact on the ground at 0.2 c lowers it nowhere.
 
-A strained body is to be stepped by the c of its present state, sqrt(M / rho) with `hoi.mpm.constitutive.stiffness` M.
+A strained body is to be stepped by the c of its present state, sqrt(M / rho) with `hoi.mpm.kernels.stiffness` M.
 With that c, of blocks held under uniform stretches of 0.7, 0.8, 1.2 and 1.35 and in one direction of 0.6 and 1.5, with
 nu of 0.3 and 0.45, neo_hookean, fixed_corotated and those in Hencky strain are all stable up to the limit below, but
 fixed_corotated pressed to a third of its volume with nu 0.45: up to 0.6.
@@ -25,6 +25,7 @@ from collections.abc import Sequence
 
 from hoi.data import Material
 from hoi.errors import InputError
+from hoi.mpm.laws import LAWS
 from hoi.mpm.materials import p_wave_speed
 
 STABLE_CFL = 0.7
@@ -51,7 +52,7 @@ def stable_step(dx: float, signal_speed: float, diffusivity: float = 0.0) -> flo
 
 def diffusivity(material: Material) -> float:
     """viscosity / density of a fluid [m^2/s]; 0 for what flows plastically, whose return map is implicit in time."""
-    return material.viscosity / material.density if material.model == "fluid" else 0.0
+    return material.viscosity / material.density if LAWS[material.model].viscous else 0.0
 
 
 def cfl_number(material: Material | Sequence[Material], dx: float, dt: float, speed: float = 0.0) -> float:

@@ -98,6 +98,20 @@ def load_file(
     return _assemble(name or path.stem, cloud, fill_cloud(cloud, spacing), size, [*notes, *cleaned, *thinned])
 
 
+def load_cloud(name: str, cloud: GaussianCloud, spacing: float, max_gaussians: int = MAX_GAUSSIANS) -> LoadedObject:
+    """An object of Gaussians in memory [m], Z up, as they are: not cleaned, but thinned to `max_gaussians` and filled.
+
+    Raises:
+        InputError: no Gaussians, or a spacing that does not fit their extent.
+    """
+    if len(cloud) == 0:
+        raise InputError(f"object {name}: a cloud without Gaussians")
+    cloud, thinned = cleaning.thin(cloud, max_gaussians)
+    size = float(np.ptp(cloud.means, axis=0).max())
+    _check_lengths(size, spacing)
+    return _assemble(name, cloud, fill_cloud(cloud, spacing), size, thinned)
+
+
 def place(
     loaded: LoadedObject,
     material: Material,

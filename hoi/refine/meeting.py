@@ -50,7 +50,7 @@ class Meeting:
 def meet(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, window: Window) -> Meeting | None:
     """Prepare the meeting in a window; None where limb and object stay apart."""
     body, thing = scene.body, scene.thing
-    dominant = body.skinning_weights.argmax(axis=1)
+    dominant = body.dominant_joints
     limb = np.flatnonzero(np.isin(dominant, window.limb))
     frames = instants(window.frames[0], window.frames[-1], [window.t_c])
     skin = posed_means(body, motion, frames=frames, subset=limb)

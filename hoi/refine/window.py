@@ -8,9 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hoi.body.skeleton import JOINT_COUNT, PARENTS
+from hoi.body.skeleton import CHAINS, JOINT_COUNT, PARENTS
 from hoi.data import Array, Contact, Motion
-from hoi.method.limb_collider import CHAINS
 
 REACH = 1.0
 """How far beyond the half width the taper falls to zero [frames]: where the frame stays what it is."""
@@ -29,7 +28,7 @@ class Window:
     joint: int
     """j_c, the joint that strikes."""
     limb: tuple[int, ...]
-    """The joints that strike together, from the body outwards (`limb_collider.CHAINS`), `joint` among them."""
+    """The joints that strike together, from the body outwards (`hoi.body.skeleton.CHAINS`), `joint` among them."""
     push: Contact | None = None
     """The contact that gave the object its new velocity at t_c; None where none was looked for."""
 

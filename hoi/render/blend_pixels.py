@@ -4,8 +4,7 @@
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportOptionalCall=false
 # pyright: reportOperatorIssue=false
 
-import taichi as ti
-
+from hoi.compute import ti
 from hoi.render.kernels import (
     BLUE,
     DEPTH,

@@ -8,9 +8,7 @@ tile when it is done with one. See `hoi.render.kernels` for what is computed.
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportOptionalCall=false
 # pyright: reportOperatorIssue=false
 
-import taichi as ti
-
-from hoi.compute import CPU_TASK
+from hoi.compute import CPU_TASK, ti
 from hoi.render.kernels import (
     BLUE,
     BOTTOM,

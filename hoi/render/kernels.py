@@ -22,9 +22,7 @@ both add up the same in the same order.
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportOptionalCall=false
 # pyright: reportOperatorIssue=false
 
-import taichi as ti
-
-from hoi.compute import CPU_TASK
+from hoi.compute import CPU_TASK, ti
 
 DILATION = 0.3
 """Added to the variances of a splat [px^2]."""

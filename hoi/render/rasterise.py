@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hoi.compute import Precision, start_taichi
+from hoi.compute import Precision, start_compiler
 from hoi.data import Camera
 from hoi.errors import InputError
 from hoi.render import Backend, blend_pixels, blend_rows, kernels
@@ -341,7 +341,7 @@ def _start(like: Tensor) -> None:
     precisions: dict[torch.dtype, Precision] = {torch.float32: "float32", torch.float64: "float64"}
     if like.dtype not in precisions:
         raise InputError(f"splats.means: {like.dtype}; must be float32 or float64")
-    start_taichi(precisions[like.dtype], torch.get_num_threads(), "cuda" if like.is_cuda else "cpu")
+    start_compiler(precisions[like.dtype], torch.get_num_threads(), "cuda" if like.is_cuda else "cpu")
 
 
 def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:

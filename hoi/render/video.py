@@ -91,7 +91,7 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     from hoi.files import whole_file
     from hoi.render import panels as side_by_side
-    from hoi.runner.progress import Stages
+    from hoi.runner.progress import bar
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
@@ -104,8 +104,8 @@ def execute(options: argparse.Namespace) -> list[Path]:
         video = options.records[0].with_name(f"{options.view}.mp4")
     how = side_by_side.Drawing(options.sh_degree, options.backend, options.device)
     if video:
-        with Stages().stage("video", len(clock.times)) as stage:
-            side_by_side.make_video(panels, clock, video, how, stage.advance)
+        with bar("video", len(clock.times)) as advance:
+            side_by_side.make_video(panels, clock, video, how, advance)
     if options.png:
         side_by_side.make_strip(panels, clock, options.png, how)
     if options.cameras:

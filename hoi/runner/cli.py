@@ -8,6 +8,7 @@ import re
 import sys
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from typing import NoReturn
 
 from hoi import __version__
@@ -69,13 +70,20 @@ COMMANDS = {
 }
 """By heading and name."""
 
+INSIDE = "hoi." if (Path(__file__).parents[1] / "analysis").is_dir() else ""
+"""A wheel carries the folder `analysis` in the package, as it does `conf`; in a checkout it stands beside it."""
+
 COMPLETION = ("-sc", "--shell-completion")
 """Hydra's flags."""
 
 
 def modules() -> dict[str, str]:
     """Name -> module of every command."""
-    return {name: command.module for group in COMMANDS.values() for name, command in group.items()}
+    return {
+        name: f"{INSIDE if command.module.startswith('analysis.') else ''}{command.module}"
+        for group in COMMANDS.values()
+        for name, command in group.items()
+    }
 
 
 def overview() -> str:

@@ -1,21 +1,26 @@
 """One composed config: check, plan, run, record. What is there already is not computed again."""
 
 import fcntl
+import hashlib
 import os
 import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.config import Config
 from hoi.config.validate import to_config
-from hoi.data import Plan, Run, State
+from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
+from hoi.reports import no_bar
 from hoi.runner.interrupt import gone_when_left
+from hoi.stages.render.none import NoVideo
 
 RECORD, FAILED, LOCK = "run.mcap", "run.failed.mcap", ".lock"
 
@@ -56,15 +61,50 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
                 print(f"{video}: its video")
         if not to_do:
             return records
-        from hoi.runner.pipeline import Job, run
+        from hoi.runner.jobs import Job, run
+        from hoi.runner.progress import bar
 
         jobs = [Job(*each) for each in to_do]
-        run(jobs, plan)
-    for job in jobs:
-        print(f"recorded {job.path}")
+        run(jobs, plan, bar)
+    for _, path, *_ in to_do:
+        print(f"recorded {path}")
         if plan.keeps("render"):
-            print(f"filmed {job.path.with_suffix('.mp4')}")
+            print(f"filmed {path.with_suffix('.mp4')}")
     return records
+
+
+def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progress: bool) -> Run:
+    """One run from Python; see `hoi.api.run`."""
+    from hoi.runner.jobs import Job, run
+    from hoi.runner.progress import bar
+    from hoi.runner.provenance import provenance
+    from hoi.runner.scene import load_object
+
+    if config.seeds != 1:
+        raise InputError("seeds", config.seeds, "1: call once a seed")
+    config = replace(config, out=str(out or ""), render=config.render if out else NoVideo())
+    if cloud is not None:  # what its shape is nobody has said: let it settle
+        size = float(np.ptp(cloud.means, axis=0).max())
+        config = replace(config, object=replace(config.object, size=size, stable=False, shape=None, path=None))
+    plan = make_plan(config)
+    structured = OmegaConf.structured(config)
+    facts = provenance(config, structured, [])
+    if cloud is not None:
+        digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in vars(cloud).values()))
+        facts["sha256.object"] = digest.hexdigest()
+        facts["config_hash"] = hashlib.sha256((facts["config_hash"] + digest.hexdigest()).encode()).hexdigest()
+    path = None if out is None else out / RECORD
+    job = Job(config, path, OmegaConf.to_yaml(structured, resolve=True), facts)
+    with ExitStack() as held:
+        if path is not None:
+            held.enter_context(alone(path.parent))
+            if already_there(config, path, facts["config_hash"]):
+                from hoi.record import read
+
+                return read(path)
+        thing = None if cloud is None else load_object(config, cloud)
+        (done,) = run([job], plan, bar if progress else no_bar, thing)
+    return done
 
 
 def what_next(records: list[Path]) -> str:

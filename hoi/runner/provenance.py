@@ -12,7 +12,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from hoi.config import Config, HMSDConf, VideoSDSConf
+from hoi.config import Config
 
 PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
 NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
@@ -45,7 +45,6 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "device": config.device.value,
     }
     facts.update({f"version.{name}": version(name) for name in PACKAGES})
-    motion, refine = config.stage.motion, config.stage.refine
     human, skinning = config.human.path, config.human.skinning
     if human is not None and Path(human).is_dir():  # an avatar's folder
         human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"
@@ -53,10 +52,9 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "object.path": config.object.path,
         "human.path": human,
         "human.skinning": skinning,
-        "stage.motion.checkpoint": motion.checkpoint if isinstance(motion, HMSDConf) else None,
-        "stage.motion.path": motion.path if isinstance(motion, HMSDConf) else None,
-        "stage.refine.checkpoint": refine.checkpoint if isinstance(refine, VideoSDSConf) else None,
     }
+    for option in config.options:
+        inputs |= {f"{option.key}.{name}": getattr(option, name, None) for name in ("checkpoint", "path")}
     for name, path in inputs.items():
         if path is not None and Path(path).exists():
             facts[f"sha256.{name}"] = digest(Path(path))

@@ -88,24 +88,11 @@ def sample(options: argparse.Namespace) -> None:
     if body is None:
         _write_npz(options, prior, motion)
     else:
-        moved = on_body(motion, prior, body)
+        moved = prior.on_body(motion, body)
         run = run_of(moved, body, options.prompt, options.seed, prior, options.guidance, time.perf_counter() - started)
         chosen = np.linspace(0, len(body.cloud) - 1, VIEWING_POINTS).astype(int)
         points = posed_means(body, moved, subset=chosen), colours(body.cloud)[chosen]
         record.write(run, options.out, *points, plan_text=f"motion  {run.plan.steps[0].reason}\n")
-
-
-def on_body(motion: Motion, prior: MotionPrior, body: Body) -> Motion:
-    """The motion of the prior's skeleton on a body of other size, its soles on the ground."""
-    import torch
-
-    from hoi.importers.motions import sole_height
-    from hoi.method.hmsd import leg_length
-
-    ratio = float(leg_length(torch.as_tensor(body.rest_joints)) / leg_length(prior.rest_joints.cpu()))
-    translation = motion.translation * np.float32(ratio)
-    translation[:, 2] += sole_height(body)
-    return Motion(translation, motion.orientation, motion.body_pose, motion.fps)
 
 
 def run_of(

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from hoi.config import VideoSDSConf
-from hoi.config.choices import VideoPriorKind
+from hoi.video_prior.files import check_video_prior
 
 if TYPE_CHECKING:
     import torch
@@ -77,16 +76,34 @@ class VideoPrior(Protocol):
         ...
 
 
-def load_video_prior(conf: VideoSDSConf, device: torch.device | str) -> VideoPrior:
-    """The prior that the config names.
+def load_video_prior(
+    prior: str,
+    device: torch.device | str,
+    *,
+    checkpoint: str | None,
+    width: int,
+    height: int,
+    clip_frames: int | None,
+    offload: bool,
+) -> VideoPrior:
+    """A prior by its name.
+
+    Args:
+        prior: "embedded" or "cogvideox".
+        checkpoint: its weights: a file, a folder or a hub name; None: those in the package, of "embedded" alone.
+        width, height: of the pictures [pixel]; "embedded" has its own.
+        clip_frames: of the clip; None: as many as the prior was trained with.
+        offload: whether the weights wait in the computer's memory, on a GPU.
 
     Raises:
         InputError: weights or a package are missing, or are another model's; one line with the remedy.
     """
-    if conf.prior is VideoPriorKind.cogvideox:
-        from hoi.video_prior.cogvideox import load_cogvideox
+    if prior == "cogvideox":
+        from hoi.video_prior.cogvideox import CogVideoX
+        from hoi.video_prior.cogvideox_files import open_files
 
-        return load_cogvideox(conf, device)
+        check_video_prior(prior, checkpoint)
+        return CogVideoX(open_files(checkpoint), (height, width), clip_frames, offload, device)
     from hoi.video_prior.embedded import load_embedded
 
-    return load_embedded(conf.checkpoint, device)
+    return load_embedded(checkpoint, device)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from hoi.config import VideoSDSConf
 from hoi.errors import InputError
 from hoi.motion.diffusion import guide
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
@@ -15,10 +14,8 @@ from hoi.video_prior.cogvideox_files import (
     check_memory,
     estimate_memory,
     noise_schedule,
-    open_files,
     place,
 )
-from hoi.video_prior.files import check_video_prior
 
 if TYPE_CHECKING:
     from diffusers.models.transformers.cogvideox_transformer_3d import CogVideoXTransformer3DModel
@@ -34,7 +31,7 @@ def clip_of(first: int, last: int, total: int, count: int) -> list[int]:
         InputError: first..last does not fit.
     """
     if last - first + 1 > count:
-        raise InputError(f"stage.refine.clip_frames {count}: the window of {last - first + 1} frames must fit")
+        raise InputError(f"clip_frames {count}: the window of {last - first + 1} frames must fit")
 
     def frame_at(place: int) -> int:
         return min(max(place, 0), total - 1)
@@ -52,20 +49,31 @@ def clip_of(first: int, last: int, total: int, count: int) -> list[int]:
 
 
 class CogVideoX:
-    """The prior; see `hoi.video_prior.VideoPrior`. Made by `load_cogvideox`."""
+    """The prior; see `hoi.video_prior.VideoPrior`. Made by `hoi.video_prior.load_video_prior`.
+
+    Args:
+        size: (height, width) of the pictures [pixel].
+        clip_frames: None: as many as the model was trained with.
+
+    Raises:
+        InputError: weights are missing or another model's, the clip is not one that it takes, or it does not fit the
+            device.
+    """
 
     crop = None
     sees_silhouettes = False
 
-    def __init__(self, files: Files, conf: VideoSDSConf, device: torch.device | str) -> None:
+    def __init__(
+        self, files: Files, size: tuple[int, int], clip_frames: int | None, offload: bool, device: torch.device | str
+    ) -> None:
         self.name = f"CogVideoX, {files.folder}"
-        self.size = (conf.height, conf.width)
+        self.size = size
         self._files, self._device = files, torch.device(device)
         self._dtype = torch.bfloat16 if self._device.type == "cuda" else torch.float32
-        self._offload = conf.offload and self._device.type == "cuda"
+        self._offload = offload and self._device.type == "cuda"
         configs, self._sizes = files.configs, files.sizes
         self.alphas_cumprod = noise_schedule(configs["scheduler"])
-        self._frames = conf.clip_frames or int(self._sizes["sample_frames"])
+        self._frames = clip_frames or int(self._sizes["sample_frames"])
         self._check_shapes()
         self.memory = estimate_memory(configs, self._frames, self.size, self._dtype, self._offload)
         check_memory(self.memory, self._device)
@@ -82,14 +90,10 @@ class CogVideoX:
         (height, width), frames = self.size, self._frames
         pixels = 2 ** (len(self._files.configs["vae"]["block_out_channels"]) - 1) * int(self._sizes["patch_size"])
         if height % pixels or width % pixels or min(height, width) < pixels:
-            raise InputError(
-                f"stage.refine.width, height {width} x {height}: multiples of {pixels} are allowed with CogVideoX"
-            )
+            raise InputError(f"width, height {width} x {height}: multiples of {pixels} are allowed with CogVideoX")
         ratio = int(self._sizes["temporal_compression_ratio"])
         if frames < ratio + 1 or frames % ratio != 1:
-            raise InputError(
-                f"stage.refine.clip_frames {frames}: {ratio} k + 1 are allowed with CogVideoX (9, 13, ..., 49)"
-            )
+            raise InputError(f"clip_frames {frames}: {ratio} k + 1 are allowed with CogVideoX (9, 13, ..., 49)")
 
     def prepare(self, prompt: str, negative_prompt: str) -> None:
         """Features of both prompts by T5, which is freed before the transformer is loaded."""
@@ -142,17 +146,6 @@ class CogVideoX:
             return v
         without, with_text = v.chunk(2)
         return guide(without, with_text, guidance, rescale)
-
-
-def load_cogvideox(conf: VideoSDSConf, device: torch.device | str) -> CogVideoX:
-    """CogVideoX from `conf.checkpoint`: a folder, or the name of a model that has been downloaded from the hub.
-
-    Raises:
-        InputError: weights or packages are missing, it is another model (CogVideoX 1.5 among them), the clip is not one
-            that it takes, or it does not fit the device.
-    """
-    check_video_prior(conf)
-    return CogVideoX(open_files(str(conf.checkpoint)), conf, device)
 
 
 def rotary_embedding(sizes: dict[str, Any], latent: tuple[int, int, int], device: torch.device) -> Any:

@@ -125,7 +125,7 @@ class Files:
         return encoder(tokens.input_ids.to(device))[0].to(dtype)
 
 
-def open_files(checkpoint: str) -> Files:
+def open_files(checkpoint: str | None) -> Files:
     """The model of that name or in that folder, its json files read and checked.
 
     Raises:
@@ -267,6 +267,6 @@ def check_memory(memory: Memory, device: torch.device) -> None:
     total = torch.cuda.get_device_properties(device).total_memory
     if memory.peak > total:
         raise InputError(
-            f"stage.refine.prior=cogvideox would take about {memory.peak / 1e9:.0f} GB, the GPU has"
-            f" {total / 1e9:.0f} GB; set stage.refine.offload=true, lower clip_frames, width or height; {WITHOUT}"
+            f"prior=cogvideox would take about {memory.peak / 1e9:.0f} GB, the GPU has"
+            f" {total / 1e9:.0f} GB; set offload=true, lower clip_frames, width or height; {WITHOUT}"
         )

@@ -5,7 +5,6 @@ discrete cosine transform of each patch. `encode` is exact and cheap, and white 
 """
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hoi.errors import InputError
+from hoi.files import whole_file
 from hoi.motion.diffusion import guide
 from hoi.motion.text import MINILM_PACKAGE, TextEncoder, default_cache, minilm
 from hoi.video_prior.denoiser import Architecture, VideoDenoiser, alphas_cumprod
@@ -83,7 +83,7 @@ class EmbeddedPrior:
         """
         if last - first >= CLIP_FRAMES:
             raise InputError(
-                f"stage.refine.half_width: a window of {last - first + 1} frames; the embedded video prior sees "
+                f"half_width: a window of {last - first + 1} frames; the embedded video prior sees "
                 f"{CLIP_FRAMES}: at most {(CLIP_FRAMES - 1) / 2:g} is allowed"
             )
         middle = (first + last) // 2
@@ -128,10 +128,9 @@ def save_embedded(
     """
     tensors = {DENOISER_PREFIX + name: value.half().contiguous() for name, value in average.items()}
     tensors |= {TEXT_MEAN: text[0].float(), TEXT_STD: text[1].float()}
-    part = path.with_name(path.name + ".part")
     about = {"package": MINILM_PACKAGE, **asdict(description)}
-    part.write_bytes(save(tensors, {"format": FORMAT, "description": json.dumps(about)}))
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_bytes(save(tensors, {"format": FORMAT, "description": json.dumps(about)}))
 
 
 def load_embedded(

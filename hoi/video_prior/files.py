@@ -3,7 +3,6 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from hoi.config import VideoPriorKind, VideoSDSConf
 from hoi.errors import InputError
 
 VIDEO_PRIOR_NAME = "video_prior.safetensors"
@@ -16,21 +15,20 @@ COGVIDEOX_SIZE = "21 GB (transformer 11.1, T5 9.5, VAE 0.4)"
 WITHOUT = "stage/refine=geometric runs without a video prior"
 
 
-def check_video_prior(conf: VideoSDSConf) -> None:
-    """Nothing, when the weights that `conf` names are there.
+def check_video_prior(prior: str, checkpoint: str | None) -> None:
+    """Nothing, when the weights of a prior are there; as `hoi.video_prior.load_video_prior` names them.
 
     Raises:
         InputError: one line with the model, where its weights are expected, how large the download is, and the config
             that runs without them.
     """
-    if conf.prior is VideoPriorKind.embedded:
-        embedded_video_prior(conf.checkpoint)
+    if prior == "embedded":
+        embedded_video_prior(checkpoint)
         return
-    assert conf.checkpoint is not None  # checked by `validate`
-    cogvideox_folder(conf.checkpoint)
+    cogvideox_folder(checkpoint)
     for package in ("diffusers", "sentencepiece"):
         if find_spec(package) is None:
-            raise InputError(f"stage.refine.prior=cogvideox needs {package}: pip install 'hoi[video]'; {WITHOUT}")
+            raise InputError(f"prior=cogvideox needs {package}: pip install 'hoi[video]'; {WITHOUT}")
 
 
 def embedded_video_prior(checkpoint: str | Path | None) -> Path:
@@ -42,30 +40,31 @@ def embedded_video_prior(checkpoint: str | Path | None) -> Path:
     given = EMBEDDED_VIDEO_PRIOR if checkpoint is None else Path(checkpoint)
     file = given / VIDEO_PRIOR_NAME if given.is_dir() else given
     if not file.is_file():
-        remedy = WITHOUT if checkpoint is None else "stage.refine.checkpoint=null takes the one in the package"
-        raise InputError(f"stage.refine.checkpoint: no embedded video prior at {file}; {remedy}")
+        remedy = WITHOUT if checkpoint is None else "checkpoint=null takes the one in the package"
+        raise InputError(f"checkpoint: no embedded video prior at {file}; {remedy}")
     return file
 
 
-def cogvideox_folder(checkpoint: str) -> Path:
+def cogvideox_folder(checkpoint: str | None) -> Path:
     """The folder of a CogVideoX: `checkpoint` itself, or where the hub's cache has the model of that name.
 
     Raises:
         InputError: as `check_video_prior`. Nothing is downloaded: the user decides about 21 GB.
     """
+    assert checkpoint is not None, "a CogVideoX has a folder or hub name"
     folder = Path(checkpoint).expanduser()
     if not folder.is_dir():
         found = in_hub_cache(checkpoint)
         if found is None:
             raise InputError(
-                f"stage.refine.checkpoint: no CogVideoX-5B at {checkpoint}: neither a folder here nor in the "
+                f"checkpoint: no CogVideoX-5B at {checkpoint}: neither a folder here nor in the "
                 f"Hugging Face cache; `hf download {COGVIDEOX}` fetches {COGVIDEOX_SIZE}; {WITHOUT}"
             )
         folder = found
     missing = [part for part in COGVIDEOX_PARTS if not (folder / part).is_dir()]
     if missing:
         raise InputError(
-            f"stage.refine.checkpoint: CogVideoX-5B in {folder} lacks {', '.join(missing)}; "
+            f"checkpoint: CogVideoX-5B in {folder} lacks {', '.join(missing)}; "
             f"`hf download {COGVIDEOX}` fetches the whole, {COGVIDEOX_SIZE}; {WITHOUT}"
         )
     return folder

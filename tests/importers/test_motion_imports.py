@@ -11,13 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
-from hoi.body.skinning import joint_paths
-from hoi.config import UpAxis
+from hoi.body.skinning import joint_paths, sole_height
 from hoi.data import Body, Motion
 from hoi.errors import InputError
 from hoi.importers.amass import SMPL_HIPS, SMPL_LEG_BONES
 from hoi.importers.bvh import read_bvh
-from hoi.importers.motions import Y_TO_Z_UP, read_motion, sole_height
+from hoi.importers.motions import Y_TO_Z_UP, read_motion
 from hoi.importers.retarget import hips_from_pelvis, leg_bones, map_joints, side_and_part
 
 FRAMES, FPS = 9, 20.0
@@ -161,9 +160,9 @@ def test_up_can_be_said(tmp_path, body):
     lying = Motion(motion.translation, motion.orientation, motion.body_pose, FPS)
     lying.orientation[:] = Rotation.from_euler("x", np.pi / 4).as_matrix()[:2].reshape(6)  # between y and z
     path = write_npz(tmp_path / "m.npz", body, lying)
-    with pytest.raises(InputError, match=r"stage\.motion\.up=y or z"):
+    with pytest.raises(InputError, match=r"^up: .*; say up=y or z$"):
         read_motion(path, body, FRAMES, FPS)
-    assert "z up" in read_motion(path, body, FRAMES, FPS, up=UpAxis.z)[1][0]
+    assert "z up" in read_motion(path, body, FRAMES, FPS, up="z")[1][0]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 import roma
 import torch
 from demo_run import make_run
+from hoi.method.scene import load_body
 from smpl_files import JOINT, make_model, pickle_model, smpl_vertices
 
 from hoi.body.avatar import load_avatar, save_avatar
@@ -22,7 +23,6 @@ from hoi.data import Body
 from hoi.errors import InputError
 from hoi.gaussians import colours
 from hoi.importers.smpl import load_smpl, read_smpl
-from hoi.method.scene import load_body
 from hoi.record.parts import scene_files, scene_from_files
 
 BETAS = (0.8, -1.2, 0.5)
@@ -237,7 +237,7 @@ def test_names_what_is_wrong(tmp_path, changes, message):
         ({"betas": [np.nan]}, r"betas=\[nan\]: must be finite"),
         ({"betas": [1e4]}, "the person would be .* m tall"),
         ({"gaussians": 5}, "gaussians=5: must be at least 100"),
-        ({"outfit": "king"}, "human.person='king': no such outfit; choose one of man, woman"),
+        ({"outfit": "king"}, "person='king': no such outfit; choose one of man, woman"),
     ],
 )
 def test_refuses_impossible_options(files, options, message):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from hoi.body.kinematics import leg_length
 from hoi.body.skinning import stand_motion
 from hoi.data import Body
-from hoi.method.hmsd import PoseParameters, ScoreDistillation, leg_length, optimise
+from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise
 from hoi.motion import features
 from hoi.runner.progress import Stage
 from tests.method.test_contact import cloud_at

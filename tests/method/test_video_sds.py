@@ -371,7 +371,7 @@ def test_out_of_memory_stops_the_stage(
 
     prior, _ = target_of(run, window, turn=0.1)
     monkeypatch.setattr(prior, "encode", refuse, raising=False)
-    monkeypatch.setattr(sds, "load_video_prior", lambda *_: prior)
+    monkeypatch.setattr(sds, "load_video_prior", lambda *_, **__: prior)
     parts = (run.scene, run.state.motion, run.state.trajectory, window)
     config = to_config(composed("stage/refine=video_sds"))
     stages = Stages()

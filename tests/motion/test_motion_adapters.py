@@ -3,10 +3,13 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from hoi.method.scene import build_scene
+from hoi.method.synthesis import synthesise
 from matplotlib import pyplot as plt
 
 from analysis import strip
@@ -17,8 +20,6 @@ from hoi.config import HMSDConf
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.importers.motions import read_motion
-from hoi.method.scene import build_scene
-from hoi.method.synthesis import synthesise
 from hoi.motion.prior import load_prior
 from hoi.plan import uses_prior
 from hoi.render.replay import replay
@@ -163,6 +164,11 @@ def test_stage_1_takes_a_motion_file_as_it_is(composed, tmp_path, monkeypatch):
     expected, _ = read_motion(path, scene.body, 40, 20.0, start_time=0.25)
     np.testing.assert_array_equal(motion.body_pose, expected.body_pose)
     np.testing.assert_array_equal(motion.translation, expected.translation)
+    late = replace(config.stage.motion, start_time=9.0)
+    with pytest.raises(
+        InputError, match=r"^stage\.motion\.start_time must be in \[0, 1\.45\] s, which .* lasts, got 9$"
+    ):
+        synthesise(scene, None, late, [0], "cpu", [stage])
     assert len(motion) == 40 and "kick.npz" in stage.notes[0] and "held for 15 of 40 frames" in stage.notes[0]
 
 

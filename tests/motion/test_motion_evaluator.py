@@ -3,8 +3,9 @@ import torch
 from safetensors.torch import save_file
 
 from hoi.errors import InputError
-from hoi.motion.evaluator import contrast, load_evaluator, save_evaluator, train_evaluator
+from hoi.motion.evaluator import load_evaluator, save_evaluator
 from hoi.training.motion.dataset import TrainingSet
+from hoi.training.motion.evaluator import contrast, train_evaluator
 
 
 def two_kinds(seed: int = 0, windows: int = 60) -> TrainingSet:

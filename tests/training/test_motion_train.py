@@ -11,6 +11,7 @@ from hoi.body.kinematics import joint_positions, rotation_to_6d
 from hoi.errors import InputError
 from hoi.motion.prior import load_prior
 from hoi.runner import sample
+from hoi.training import loop
 from hoi.training.motion import dataset, deepmimic, train
 from hoi.training.motion import training as trainings
 from hoi.training.motion.dataset import FRAMES, PEAK_FRAMES, Clip, build_training_set, mirror, window_starts
@@ -183,7 +184,7 @@ def test_training_learns_resumes_and_publishes(tmp_path, clip_data):
     training = trainings.Training(trainings.read_data(chosen)[0], chosen)
     for _ in range(50):
         training.advance()
-    trainings.write_atomically(parts / "checkpoint.pt", training.state())
+    loop.save_checkpoint(parts / "checkpoint.pt", training.state())
     trainings.train(options(parts, "--data", str(clip_data), "--steps", "100", "--resume"), "")
     for name, value in load_prior(parts).denoiser.state_dict().items():
         torch.testing.assert_close(value, prior.denoiser.state_dict()[name])

@@ -24,7 +24,7 @@ from hoi.refine.window import window_around
 from hoi.runner.progress import Stages
 from hoi.video_prior import files as weights
 from hoi.video_prior import load_video_prior
-from hoi.video_prior.cogvideox import CogVideoX, clip_of, load_cogvideox, rotary_embedding
+from hoi.video_prior.cogvideox import CogVideoX, clip_of, rotary_embedding
 from hoi.video_prior.cogvideox_encode import chunks_of, encode_chunks
 from hoi.video_prior.cogvideox_files import estimate_memory, noise_schedule
 
@@ -58,6 +58,13 @@ def conf(folder: Path, **changes: object) -> VideoSDSConf:
     return VideoSDSConf(**{**values, **changes})
 
 
+def load(folder: Path, **changes: int) -> CogVideoX:
+    sizes: dict = {"width": WIDTH, "height": HEIGHT, "clip_frames": 9, "offload": False, **changes}
+    found = load_video_prior("cogvideox", "cpu", checkpoint=str(folder), **sizes)
+    assert isinstance(found, CogVideoX)
+    return found
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("cogvideox") / "tiny")
@@ -65,8 +72,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def prior(folder: Path) -> CogVideoX:
-    found = load_video_prior(conf(folder), "cpu")
-    assert isinstance(found, CogVideoX)
+    found = load(folder)
     found.prepare(*PROMPTS)
     return found
 
@@ -233,7 +239,7 @@ def test_stage_3_moves_theta_in_the_window_and_nothing_else(prior: CogVideoX) ->
 
 def test_the_2bs_positions_are_worked_out(tmp_path: Path) -> None:
     folder = build(tmp_path / "2b", transformer={"use_rotary_positional_embeddings": False, "sample_frames": 9})
-    prior = load_cogvideox(conf(folder), "cpu")
+    prior = load(folder)
     prior.prepare(*PROMPTS)
     z = torch.randn(1, 3, 4, HEIGHT // 8, WIDTH // 8, generator=torch.Generator().manual_seed(0))
     whole = CogVideoXTransformer3DModel.from_pretrained(folder / "transformer")
@@ -246,7 +252,7 @@ def test_missing_weights_say_what_to_do(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     for checkpoint in (str(tmp_path / "nowhere"), "THUDM/CogVideoX-5b-not-here", str(tmp_path)):
         with pytest.raises(InputError) as caught:
-            load_video_prior(conf(Path(checkpoint)), "cpu")
+            load(Path(checkpoint))
         line = str(caught.value)
         for said in (checkpoint, "CogVideoX-5B", "hf download THUDM/CogVideoX-5b", "21 GB", "stage/refine=geometric"):
             assert said in line
@@ -256,7 +262,7 @@ def test_missing_weights_say_what_to_do(tmp_path: Path, monkeypatch: pytest.Monk
 def test_missing_packages_are_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(weights, "find_spec", lambda name: None if name == "sentencepiece" else name)
     with pytest.raises(InputError, match=r"needs sentencepiece: pip install 'hoi\[video\]'.*geometric"):
-        load_video_prior(conf(folder), "cpu")
+        load(folder)
 
 
 def edit(path: Path, **changes: object) -> None:
@@ -275,7 +281,7 @@ def test_other_models_and_sizes_are_refused(folder: Path, tmp_path: Path) -> Non
         copy = Path(shutil.copytree(folder, tmp_path / name))
         edit(copy / file, **changes)
         with pytest.raises(InputError, match=message) as caught:
-            load_cogvideox(conf(copy), "cpu").prepare(*PROMPTS)
+            load(copy).prepare(*PROMPTS)
         assert "\n" not in str(caught.value)
     for changes, message in (
         ({"width": 50}, "multiples of 16"),
@@ -284,7 +290,7 @@ def test_other_models_and_sizes_are_refused(folder: Path, tmp_path: Path) -> Non
         ({"clip_frames": 1}, r"4 k \+ 1"),
     ):
         with pytest.raises(InputError, match=message):
-            load_cogvideox(conf(folder, **changes), "cpu")
+            load(folder, **changes)
 
 
 def test_nothing_is_unpickled(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,17 +298,17 @@ def test_nothing_is_unpickled(folder: Path, tmp_path: Path, monkeypatch: pytest.
         raise AssertionError("unpickled")
 
     monkeypatch.setattr(torch, "load", refuse)
-    load_cogvideox(conf(folder), "cpu").prepare(*PROMPTS)
+    load(folder).prepare(*PROMPTS)
     for part, name in (("vae", "diffusion_pytorch_model"), ("transformer", "diffusion_pytorch_model")):
         copy = Path(shutil.copytree(folder, tmp_path / part))
         weights = copy / part / f"{name}.safetensors"
         weights.rename(weights.with_suffix(".bin"))
         with pytest.raises(InputError, match="cannot be read"):
-            load_cogvideox(conf(copy), "cpu").prepare(*PROMPTS)
+            load(copy).prepare(*PROMPTS)
     copy = Path(shutil.copytree(folder, tmp_path / "text"))
     (copy / "text_encoder" / "model.safetensors").rename(copy / "text_encoder" / "pytorch_model.bin")
     with pytest.raises(InputError, match="T5"):
-        load_cogvideox(conf(copy), "cpu").prepare(*PROMPTS)
+        load(copy).prepare(*PROMPTS)
 
 
 def test_shards_are_put_together(folder: Path, tmp_path: Path, prior: CogVideoX) -> None:
@@ -312,7 +318,7 @@ def test_shards_are_put_together(folder: Path, tmp_path: Path, prior: CogVideoX)
         copy / "transformer", max_shard_size="200KB"
     )
     assert len(list((copy / "transformer").glob("*.safetensors"))) > 1
-    sharded = load_cogvideox(conf(copy), "cpu")
+    sharded = load(copy)
     sharded.prepare(*PROMPTS)
     state = prior.transformer.state_dict()
     assert all(torch.equal(value, state[name]) for name, value in sharded.transformer.state_dict().items())

@@ -19,7 +19,7 @@ from torch import Tensor
 from hoi.body.kinematics import forward_kinematics
 from hoi.data import Array
 from hoi.errors import InputError
-from hoi.motion.features import FACING_PLUS_Y, heading_of, turn_about_z
+from hoi.motion.features import towards_plus_y
 from hoi.training.motion.dataset import FPS, Clip, rest_joints_of
 
 PACKAGE = "pybullet"
@@ -154,9 +154,7 @@ def read_motion(path: Path) -> tuple[Array, Array]:
     position = hips - (local[:, 0] @ middle_of_hips[:, None])[..., 0]
     local, position = _resample(local, position, float(frames[:, 0].median()))
 
-    heading = turn_about_z(heading_of(local[0, 0]))
-    forward = turn_about_z(torch.tensor([math.cos(FACING_PLUS_Y), math.sin(FACING_PLUS_Y)], dtype=torch.float64))
-    turn = forward @ heading.T
+    turn = towards_plus_y(local[0, 0])
     local[:, 0] = turn @ local[:, 0]
     position = (turn @ (position - position[0] * torch.tensor([1.0, 1, 0]))[..., None])[..., 0]
     _, joints = forward_kinematics(local, position, rest_joints)

@@ -24,7 +24,8 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    from hoi.motion.evaluator import FILE_NAME, save_evaluator, train_evaluator
+    from hoi.motion.evaluator import FILE_NAME, save_evaluator
+    from hoi.training.motion.evaluator import train_evaluator
     from hoi.training.motion.training import read_split
 
     try:

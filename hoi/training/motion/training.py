@@ -1,10 +1,6 @@
 """The training of a motion prior, of which `hoi.training.motion.train` is the command: data, optimiser, checkpoints."""
 
 import argparse
-import json
-import os
-import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +11,7 @@ from hoi.errors import InputError
 from hoi.motion.diffusion import cosine_alphas_cumprod, q_sample
 from hoi.motion.mdm import Architecture, MotionDenoiser
 from hoi.motion.text import file_sha256, minilm
+from hoi.training import loop
 from hoi.training.motion import deepmimic
 from hoi.training.motion.dataset import (
     FPS,
@@ -42,15 +39,10 @@ def weighted_stats(values: Tensor, weights: Tensor, floor: float) -> tuple[Tenso
     return mean, variance.sqrt().clamp(min=floor)
 
 
-def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """torch.save beside the target, then rename."""
-    part = path.with_suffix(".part")
-    torch.save(state, part)
-    os.replace(part, path)
+class Training(loop.Training[MotionDenoiser]):
+    """The state of one training: the loop's, and the windows with their statistics."""
 
-
-class Training:
-    """The state of one training: denoiser, its moving average, optimiser, counters."""
+    cosine = staticmethod(lambda angle: torch.cos(torch.tensor(angle)).item())  # in single precision, ever since
 
     def __init__(self, data: TrainingSet, options: argparse.Namespace):
         torch.manual_seed(options.seed)
@@ -63,14 +55,8 @@ class Training:
             layers=options.layers,
             heads=options.heads,
         )
-        self.data, self.options = data, options
-        self.generator = torch.Generator().manual_seed(options.seed)
-        self.denoiser = MotionDenoiser(architecture, token_dropout=0.1)
-        self.average = MotionDenoiser(architecture).requires_grad_(False)
-        self.average.load_state_dict(self.denoiser.state_dict())
-        self.optimiser = torch.optim.AdamW(
-            self.denoiser.parameters(), lr=options.lr, betas=(0.9, 0.99), weight_decay=0.01, fused=True
-        )
+        super().__init__(options, MotionDenoiser(architecture, token_dropout=0.1), MotionDenoiser(architecture))
+        self.data = data
         self.alphas_cumprod = cosine_alphas_cumprod(options.timesteps)
         self.raw_text = text
         self.standardise(*weighted_stats(data.features, data.weights, STD_FLOOR), text.mean(0), text.std(0))
@@ -78,7 +64,6 @@ class Training:
         self.choices = torch.nn.utils.rnn.pad_sequence(
             [torch.tensor(rows) for rows in data.caption_choices], batch_first=True
         )
-        self.step, self.seconds = 0, 0.0
 
     def standardise(self, mean: Tensor, std: Tensor, text_mean: Tensor, text_std: Tensor) -> None:
         """Set the statistics and what is computed with them."""
@@ -86,17 +71,6 @@ class Training:
         self.features = (self.data.features - mean) / std
         self.loss = MotionLoss(mean, std, self.data.rest_joints)
         self.text = (self.raw_text - text_mean) / text_std
-
-    def progress(self) -> float:
-        """How much of the training is done, by steps or by time, whichever is further."""
-        done = self.step / self.options.steps
-        return max(done, self.seconds / (60 * self.options.minutes)) if self.options.minutes else done
-
-    def learning_rate(self) -> float:
-        """Linear warm-up, then half a cosine down to a hundredth."""
-        warm = min(1.0, (self.step + 1) / self.options.warmup)
-        cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, self.progress()) * torch.pi)).item())
-        return self.options.lr * warm * max(0.01, cosine)
 
     def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """x0, noise, t and text of one batch; a tenth of the texts is empty."""
@@ -111,35 +85,15 @@ class Training:
         t = torch.randint(options.timesteps, (options.batch,), generator=generator)
         return x0, torch.randn(x0.shape, generator=generator), t, text
 
-    def advance(self) -> float:
-        """One optimiser step; returns the MSE of the normalised x0, without the loss's other terms."""
+    def objective(self) -> tuple[Tensor, Tensor]:
+        """The loss, and the MSE of the normalised x0 without its other terms."""
         x0, noise, t, text = self.batch()
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.learning_rate()
         predicted = self.denoiser(q_sample(x0, t, noise, self.alphas_cumprod), t, text)
-        loss, plain = self.loss(predicted, x0, self.alphas_cumprod.to(x0)[t])
-        self.optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.denoiser.parameters(), 1.0)
-        self.optimiser.step()
-        self.step += 1
-        decay = min(self.options.ema, (1 + self.step) / (10 + self.step))
-        with torch.no_grad():
-            for slow, fast in zip(self.average.parameters(), self.denoiser.parameters(), strict=True):
-                slow.lerp_(fast, 1 - decay)
-        return plain.item()
+        return self.loss(predicted, x0, self.alphas_cumprod.to(x0)[t])
 
     def state(self) -> dict[str, Any]:
-        """All that resuming and exporting need; plain tensors and numbers."""
-        return {
-            "denoiser": self.denoiser.state_dict(),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "generator": self.generator.get_state(),
+        return super().state() | {
             "dropout_generator": torch.get_rng_state(),
-            "step": self.step,
-            "seconds": self.seconds,
-            "architecture": asdict(self.denoiser.architecture),
             "mean": self.mean,
             "std": self.std,
             "text_mean": self.text_mean,
@@ -150,37 +104,9 @@ class Training:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a checkpoint of `state`, with its statistics even where the data has changed since."""
+        super().restore(state)
         self.standardise(state["mean"], state["std"], state["text_mean"], state["text_std"])
-        self.denoiser.load_state_dict(state["denoiser"])
-        self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.generator.set_state(state["generator"])
         torch.set_rng_state(state["dropout_generator"])
-        self.step, self.seconds = state["step"], state["seconds"]
-
-    def run(self, out: Path) -> None:
-        """Train to the end; log and checkpoint on the way."""
-        begin, already = time.monotonic(), self.seconds
-        last_save, losses = begin, []
-        while self.progress() < 1:
-            losses.append(self.advance())
-            now = time.monotonic()
-            self.seconds = already + now - begin
-            if self.step % 50 == 0 or self.progress() >= 1:
-                row = {
-                    "step": self.step,
-                    "minutes": round(self.seconds / 60, 2),
-                    "loss": round(sum(losses) / len(losses), 5),
-                    "lr": round(self.learning_rate(), 7),
-                }
-                losses = []
-                with (out / "log.jsonl").open("a") as log:
-                    log.write(json.dumps(row) + "\n")
-            if now - last_save > 60 * self.options.save_minutes:
-                write_atomically(out / "checkpoint.pt", self.state())
-                last_save = now
-        write_atomically(out / "checkpoint.pt", self.state())
 
 
 def clip_files(folder: Path) -> list[Path]:
@@ -238,17 +164,6 @@ def train(options: argparse.Namespace, command: str) -> None:
     Raises:
         InputError: no data, or nothing to resume from.
     """
-    torch.set_num_threads(options.threads)
-    checkpoint = options.out / "checkpoint.pt"
-    if options.resume and not checkpoint.is_file():
-        raise InputError(f"--resume: {checkpoint} does not exist")
+    loop.begin(options)
     data, facts = read_data(options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    if not options.resume:
-        (options.out / "log.jsonl").unlink(missing_ok=True)
-    training = Training(data, options)
-    if options.resume:
-        training.restore(torch.load(checkpoint, weights_only=True))
-    training.run(options.out)
-    facts |= {"command": command, "hardware": options.hardware or f"{options.threads} CPU threads"}
-    publish(training.state(), facts, options.out)
+    publish(Training(data, options).run(), facts, options, command)

@@ -6,7 +6,6 @@ by nothing else. Clips are of silhouettes, as stage 3 shows them to the prior.
 """
 
 import math
-import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -19,6 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from hoi.errors import InputError
+from hoi.files import whole_file
 from hoi.motion.prior import MotionPrior, load_prior
 from hoi.refine.clip import SIDEWAYS, chosen
 from hoi.refine.silhouettes import silhouettes
@@ -140,10 +140,8 @@ def provide_clips(folder: Path, views: int, seed: int) -> Clips:
 
 def save_clips(clips: Clips, path: Path) -> None:
     """As .npz, replaced in one piece."""
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        np.savez(file, **{field.name: getattr(clips, field.name) for field in fields(clips)})
-    os.replace(part, path)
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez(file, **vars(clips))
 
 
 def load_clips(path: Path) -> Clips:

@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.people import load_person
-from hoi.body.skeleton import JOINT_COUNT
+from hoi.body.skeleton import CHAINS, JOINT_COUNT, JOINT_NAMES
+from hoi.body.skeleton import LIMBS as BODY_LIMBS
 from hoi.body.skinning import joint_paths
 from hoi.data import Array, Body, Motion
 from hoi.method.contact import impulse
-from hoi.method.limb_collider import CHAINS
 from hoi.motion.diffusion import ancestral_sample
 from hoi.motion.features import FEATURE_COUNT, decode
 from hoi.motion.prior import MotionPrior
@@ -29,7 +29,6 @@ from hoi.objects import shapes
 from hoi.refine.clip import moved_by
 from hoi.render.replay import Person, person_tensors, posed
 from hoi.render.splats import Splats, from_cloud
-from hoi.runner.sample import on_body
 from hoi.video_prior.embedded import CLIP_FRAMES, FPS
 
 FLAWS = ("inside", "gap")
@@ -70,25 +69,27 @@ class Limb:
     prompts: tuple[str, ...]
 
 
-def _both_sides(part: str, joint: int, joints: tuple[int, ...], prompts: tuple[str, ...]) -> list[Limb]:
-    """A limb and its mirror image, whose joint numbers are one larger on the right."""
+def _both_sides(part: str, *prompts: str) -> list[Limb]:
+    """The limb that ends in the joint `part`, left and right."""
+    names = [(side, f"{side}_{part}") for side in ("left", "right")]
     return [
-        Limb(f"{side} {part}", joint + i, tuple(j + i for j in joints), tuple(p.format(side=side) for p in prompts))
-        for i, side in enumerate(("left", "right"))
+        Limb(f"{side} {part}", JOINT_NAMES.index(name), BODY_LIMBS[name], tuple(p.format(side=side) for p in prompts))
+        for side, name in names
     ]
 
 
 LIMBS = (
-    *_both_sides("foot", 10, (7, 10), (
-        "a person kicks a soccer ball with the {side} foot", "a person does a front kick with the {side} foot",
-        "a person runs up and kicks a soccer ball with the {side} foot", "a person kicks a box with the {side} foot",
-    )),
-    *_both_sides("knee", 4, (1, 4), ("a person strikes with the {side} knee",)),
-    *_both_sides("hand", 22, (20, 22), (
-        "a person punches with the {side} hand", "a person punches a bag with the {side} hand",
-    )),
-    Limb("hands", 23, (20, 21, 22, 23), ("a person pushes", "a person pushes an object with both hands")),
-)  # fmt: skip
+    *_both_sides(
+        "foot",
+        "a person kicks a soccer ball with the {side} foot",
+        "a person does a front kick with the {side} foot",
+        "a person runs up and kicks a soccer ball with the {side} foot",
+        "a person kicks a box with the {side} foot",
+    ),
+    *_both_sides("knee", "a person strikes with the {side} knee"),
+    *_both_sides("hand", "a person punches with the {side} hand", "a person punches a bag with the {side} hand"),
+    Limb("hands", 23, BODY_LIMBS["hands"], ("a person pushes", "a person pushes an object with both hands")),
+)
 LIMB_SHARES = (0.22, 0.22, 0.08, 0.08, 0.13, 0.13, 0.14)
 OBJECT_SHARES = {
     "soccer_ball": 0.26, "basketball": 0.15, "blue_ball": 0.14, "cardboard_box": 0.13, "file_cabinet": 0.12,
@@ -197,7 +198,7 @@ def stage_contact(
     limb, motion = motions[int(rng.integers(len(motions)))]
     name = str(rng.choice(PEOPLE))
     body, person = people()[name]
-    motion = _perturbed(on_body(motion, prior, body), rng)
+    motion = _perturbed(prior.on_body(motion, body), rng)
     path = joint_paths(body, motion)[:, LIMBS[limb].joint]
     # At t_c the limb is about where it is fastest. The clip's frames, in frames of the motion:
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -213,7 +214,7 @@ def stage_contact(
     with torch.no_grad():
         splats = posed(person, *parameters)
     skin = np.stack([frame.means.numpy() for frame in splats]).astype(np.float64)
-    dominant = body.skinning_weights.argmax(axis=1)
+    dominant = body.dominant_joints
     striking = np.isin(dominant, LIMBS[limb].joints)
     touching, before = skin[CLIP_FRAMES], skin[CLIP_FRAMES + 1]
     velocity = (touching - before)[dominant == LIMBS[limb].joint].mean(axis=0) * FPS

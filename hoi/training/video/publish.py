@@ -1,16 +1,13 @@
 """What a training leaves behind: the prior itself, training.json (what went in and came out) and curve.png."""
 
-import json
-import platform
+import argparse
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from hoi.motion.text import MINILM_SHA256
-from hoi.training.motion.publish import read_log
+from hoi.training.report import curves, read_log, write_report
 from hoi.training.video import contacts
 from hoi.training.video.clips import Clips
 from hoi.training.video.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
@@ -19,33 +16,32 @@ from hoi.video_prior.embedded import CROP, Description, save_embedded
 from hoi.video_prior.files import VIDEO_PRIOR_NAME
 
 
-def publish(state: dict[str, Any], clips: Clips, held_out: int, facts: dict[str, Any], out: Path) -> None:
-    """Write video_prior.safetensors, training.json and curve.png.
+def publish(state: dict[str, Any], clips: Clips, held_out: int, options: argparse.Namespace, command: str) -> None:
+    """Write video_prior.safetensors, training.json and curve.png beside log.jsonl.
 
     Args:
         state: a training's checkpoint (see `.training.Training.state`); its moving average is published.
         held_out: how many of the clips, the last ones, were only tested on.
-        facts: what the checkpoint does not know: command, hardware.
-        out: folder that holds log.jsonl.
     """
+    out = options.out
     architecture = Architecture(**{**state["architecture"], "channels": tuple(state["architecture"]["channels"])})
     description = Description(architecture, state["step"], MINILM_SHA256)
     save_embedded(out / VIDEO_PRIOR_NAME, state["average"], (state["text_mean"], state["text_std"]), description)
-    log = read_log(out / "log.jsonl")
+    log = read_log(out)
     tested = [row for row in log if "held_out" in row]
-    report = {
-        "steps": state["step"],
-        "minutes": round(state["seconds"] / 60, 1),
-        "loss": {str(int(row["step"])): row["loss"] for row in log[-1 : -len(log) - 1 : -max(1, len(log) // 10)]},
-        "tests": tested[-1] if tested else {},
-        "parameters": sum(value.numel() for value in state["average"].values()),
-        "architecture": state["architecture"],
-        "clips": recipe(clips, held_out),
-        "versions": {"python": platform.python_version(), "torch": torch.__version__},
-        **facts,
-    }
-    (out / "training.json").write_text(json.dumps(report, indent=1) + "\n")
-    draw_curve(log, out / "curve.png")
+    tests, made = tested[-1] if tested else {}, recipe(clips, held_out)
+    write_report(out, state, log, options, command, tests=tests, clips=made)
+    with curves(out / "curve.png", 2, (7, 5)) as (upper, lower):
+        upper.semilogy([row["step"] for row in log], [row["loss"] for row in log], linewidth=1, label="training")
+        upper.semilogy([row["step"] for row in tested], [row["held_out"] for row in tested], label="held-out clips")
+        upper.set(ylabel="MSE of v", title="the embedded video prior")
+        upper.legend()
+        for said in ("clean", "flawed"):
+            lower.plot(
+                [row["step"] for row in tested], [row[f"mended_{said}"] for row in tested], label=f"called {said}"
+            )
+        lower.set(ylabel="share of a flaw mended [-]")
+        lower.legend()
 
 
 def recipe(clips: Clips, held_out: int) -> dict[str, Any]:
@@ -69,25 +65,3 @@ def recipe(clips: Clips, held_out: int) -> dict[str, Any]:
         "person_gaussians": contacts.PERSON_GAUSSIANS,
         "motions": "drawn from the motion prior in the package",
     }
-
-
-def draw_curve(log: list[dict[str, float]], path: Path) -> None:
-    """Losses over steps, and how much of flaws is mended."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 5), layout="constrained")
-    FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    tested = [row for row in log if "held_out" in row]
-    upper.semilogy([row["step"] for row in log], [row["loss"] for row in log], linewidth=1, label="training")
-    upper.semilogy([row["step"] for row in tested], [row["held_out"] for row in tested], label="held-out clips")
-    upper.set(ylabel="MSE of v", title="the embedded video prior")
-    upper.legend()
-    for said in ("clean", "flawed"):
-        lower.plot([row["step"] for row in tested], [row[f"mended_{said}"] for row in tested], label=f"called {said}")
-    lower.set(xlabel="optimiser step", ylabel="share of a flaw mended [-]")
-    lower.legend()
-    for axes in (upper, lower):
-        axes.grid(True, which="both", alpha=0.3)
-    figure.savefig(path, dpi=110)

@@ -1,11 +1,6 @@
 """The training of the video prior, of which `.train` is the command: clips, optimiser, checkpoints."""
 
 import argparse
-import json
-import math
-import time
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,7 +9,7 @@ from torch import Tensor
 from hoi.errors import InputError
 from hoi.method.video_sds import predict_z
 from hoi.motion.text import minilm
-from hoi.training.motion.training import write_atomically
+from hoi.training import loop
 from hoi.training.video.captions import FLAWED_SHARE, SENTENCES, captions
 from hoi.training.video.clips import Clips, provide_clips
 from hoi.training.video.contacts import FLAWS, LIMBS, OBJECT_SHARES, PEOPLE
@@ -30,7 +25,6 @@ CENTRE_SPREAD, CENTRE_WEIGHT = 0.18, 3.0
 HELD_OUT_TIMES = (100, 250, 400, 600)
 MEND_FROM = 100
 """Flawed clips are mended from this t on: below it v would have to be far out of its range to give another clip."""
-LOG_EVERY, TEST_EVERY = 50, 300
 STATISTICS_CLIPS = 256
 LEAST_VARIANCE = 1e-4
 """About what rounding to 8 bits leaves."""
@@ -48,57 +42,39 @@ class Words:
                     for said, key in enumerate(SAID):
                         found = captions(limb, shape, person, key)
                         self.choices[limb, shape, person, said] = [rows.setdefault(s, len(rows)) for s in found]
-        embedded = minilm().embed(list(rows))
-        self.mean, self.std = embedded.mean(0), embedded.std(0)
-        self.raw = embedded
-        self.rows = (embedded - self.mean) / self.std
+        self.raw = minilm().embed(list(rows))
+        self.normalise(self.raw.mean(0), self.raw.std(0))
 
     def normalise(self, mean: Tensor, std: Tensor) -> None:
         self.mean, self.std = mean, std
         self.rows = (self.raw - mean) / std
 
 
-class Training:
-    """The state of one training: denoiser, its moving average, optimiser, counters."""
+class Training(loop.Training[VideoDenoiser]):
+    """The state of one training: the loop's, and the clips with their captions."""
 
     def __init__(self, clips: Clips, options: argparse.Namespace) -> None:
         torch.manual_seed(options.seed)
-        self.options, self.words = options, Words()
+        self.words = Words()
         held_out = max(1, int(options.held_out * len(clips)))
         self.clips, self.video = clips, torch.from_numpy(clips.video)
         self.training, self.held_out = range(len(clips) - held_out), range(len(clips) - held_out, len(clips))
-        architecture = Architecture(channels=tuple(options.channels), text_dim=self.words.rows.shape[1])
-        self.denoiser = VideoDenoiser(architecture)
-        self.denoiser.variance.copy_(self.variance())
-        self.average = VideoDenoiser(architecture).requires_grad_(False).eval()
-        self.average.load_state_dict(self.denoiser.state_dict())
-        self.optimiser = torch.optim.AdamW(
-            self.denoiser.parameters(), lr=options.lr, betas=(0.9, 0.99), weight_decay=0.01, fused=True
-        )
+        self.architecture = Architecture(channels=tuple(options.channels), text_dim=self.words.rows.shape[1])
+        denoiser = VideoDenoiser(self.architecture)
+        denoiser.variance.copy_(self.variance())
+        super().__init__(options, denoiser, VideoDenoiser(self.architecture))
         self.alphas_cumprod = alphas_cumprod()
-        self.generator = torch.Generator().manual_seed(options.seed)
-        places = architecture.size // architecture.patch
+        places = self.architecture.size // self.architecture.patch
         from_centre = (torch.arange(places) + 0.5) / places - 0.5
         bell = torch.exp(-from_centre.square() / (2 * CENTRE_SPREAD**2))
         weight = 1 + CENTRE_WEIGHT * bell[:, None] * bell
         self.weight = weight / weight.mean()
-        self.step, self.seconds = 0, 0.0
 
     def variance(self) -> Tensor:
         """Of the latents of the training clips, (C,); of some of them."""
         some = self.training[:: max(1, len(self.training) // STATISTICS_CLIPS)]
         z = self.latents(list(some), [0] * len(some), [False] * len(some))
         return z.square().mean((0, 1, 2, 4, 5)).clamp(min=LEAST_VARIANCE)
-
-    def progress(self) -> float:
-        """How much of the training is done, by steps or by time, whichever is further."""
-        done = self.step / self.options.steps
-        return max(done, self.seconds / (60 * self.options.minutes)) if self.options.minutes else done
-
-    def learning_rate(self) -> float:
-        """Linear warm-up, then half a cosine down to a hundredth."""
-        warm = min(1.0, (self.step + 1) / self.options.warmup)
-        return self.options.lr * warm * max(0.01, 0.5 * (1 + math.cos(math.pi * min(1.0, self.progress()))))
 
     def _draw(self, high: int) -> int:
         return int(torch.randint(high, (), generator=self.generator))
@@ -117,7 +93,7 @@ class Training:
         """Clean and flawed clips, (2, B, F, C, h, w)."""
         video = self.video[rows, flaws].float().div_(255).movedim(-1, 3)
         flipped = torch.tensor(mirrored)[:, None, None, None, None, None]
-        return to_latents(torch.where(flipped, video.flip(-1), video), self.denoiser.architecture.patch).movedim(1, 0)
+        return to_latents(torch.where(flipped, video.flip(-1), video), self.architecture.patch).movedim(1, 0)
 
     def batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """z, what the denoiser should make of it, noise, t and text.
@@ -161,22 +137,9 @@ class Training:
         weight = self.weight / spread * (spread.mean(2, keepdim=True))
         return (error * weight).mean((1, 2, 3, 4)), error.mean((1, 2, 3, 4))
 
-    def advance(self) -> float:
-        """One optimiser step; returns the plain loss."""
-        batch = self.batch()
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.learning_rate()
-        weighted, plain = self.losses(self.denoiser, *batch)
-        self.optimiser.zero_grad()
-        weighted.mean().backward()
-        torch.nn.utils.clip_grad_norm_(self.denoiser.parameters(), 1.0)
-        self.optimiser.step()
-        self.step += 1
-        decay = min(self.options.ema, (1 + self.step) / (10 + self.step))
-        with torch.no_grad():
-            for slow, fast in zip(self.average.parameters(), self.denoiser.parameters(), strict=True):
-                slow.lerp_(fast, 1 - decay)
-        return float(plain.mean().detach())
+    def objective(self) -> tuple[Tensor, Tensor]:
+        weighted, plain = self.losses(self.denoiser, *self.batch())
+        return weighted.mean(), plain.mean()
 
     @torch.no_grad()
     def test(self) -> dict[str, float]:
@@ -211,53 +174,11 @@ class Training:
         return {"held_out": round(float(torch.cat(losses).mean()), 5), **means}
 
     def state(self) -> dict[str, Any]:
-        """All that resuming and exporting need; plain tensors and numbers."""
-        return {
-            "denoiser": self.denoiser.state_dict(),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "generator": self.generator.get_state(),
-            "step": self.step,
-            "seconds": self.seconds,
-            "architecture": asdict(self.denoiser.architecture),
-            "text_mean": self.words.mean,
-            "text_std": self.words.std,
-        }
+        return super().state() | {"text_mean": self.words.mean, "text_std": self.words.std}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a checkpoint of `state`, with its statistics of the text."""
+        super().restore(state)
         self.words.normalise(state["text_mean"], state["text_std"])
-        self.denoiser.load_state_dict(state["denoiser"])
-        self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.generator.set_state(state["generator"])
-        self.step, self.seconds = state["step"], state["seconds"]
-
-    def run(self, out: Path) -> None:
-        """Train to the end; log and checkpoint on the way."""
-        begin, already = time.monotonic(), self.seconds
-        last_save, losses = begin, []
-        while self.progress() < 1:
-            losses.append(self.advance())
-            now = time.monotonic()
-            self.seconds = already + now - begin
-            ends = self.progress() >= 1
-            if self.step % LOG_EVERY == 0 or ends:
-                row = {
-                    "step": self.step,
-                    "minutes": round(self.seconds / 60, 2),
-                    "loss": round(sum(losses) / len(losses), 5),
-                    "lr": round(self.learning_rate(), 7),
-                }
-                if self.step % TEST_EVERY == 0 or ends:
-                    row |= self.test()
-                losses = []
-                with (out / "log.jsonl").open("a") as log:
-                    log.write(json.dumps(row) + "\n")
-            if now - last_save > 60 * self.options.save_minutes:
-                write_atomically(out / "checkpoint.pt", self.state())
-                last_save = now
-        write_atomically(out / "checkpoint.pt", self.state())
 
 
 def train(options: argparse.Namespace, command: str) -> None:
@@ -266,21 +187,12 @@ def train(options: argparse.Namespace, command: str) -> None:
     Raises:
         InputError: nothing to resume from, or clips in OUT that are damaged.
     """
-    torch.set_num_threads(options.threads)
-    checkpoint = options.out / "checkpoint.pt"
-    if options.resume and not checkpoint.is_file():
-        raise InputError(f"--resume: {checkpoint} does not exist")
+    loop.begin(options)
     if options.clips < 2:
         raise InputError(f"--clips {options.clips}: at least 2")
     if options.batch < 3 or options.batch % 3:
         raise InputError(f"--batch {options.batch}: a multiple of 3")
     options.out.mkdir(parents=True, exist_ok=True)
     clips = provide_clips(options.out, options.clips, options.seed)
-    if not options.resume:
-        (options.out / "log.jsonl").unlink(missing_ok=True)
     training = Training(clips, options)
-    if options.resume:
-        training.restore(torch.load(checkpoint, weights_only=True))
-    training.run(options.out)
-    facts = {"command": command, "hardware": options.hardware or f"{options.threads} CPU threads"}
-    publish(training.state(), clips, len(training.held_out), facts, options.out)
+    publish(training.run(), clips, len(training.held_out), options, command)

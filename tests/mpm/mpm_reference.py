@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hoi.data import Array, Material, ObjectState, Plane
-from hoi.mpm.materials import KEEPS_TOTAL, kirchhoff_stress, return_map
+from hoi.mpm.laws import LAWS
+from hoi.mpm.materials import kirchhoff_stress, return_map
 
 SPREAD = {"quadratic": 1 / 4, "cubic": 1 / 3}
 """D / dx^2, where sum_i w_ip (x_i - x_p)(x_i - x_p)^T = D I."""
@@ -83,7 +84,7 @@ def step(
     velocity = np.einsum("pn,pni->pi", w, nodal)
     gradient = np.einsum("pn,pni,pnj->pij", w, nodal, offset) / inertia
     f, hardening = return_map(material, f + dt * gradient @ f, hardening, dt)
-    keeps = material.model in KEEPS_TOTAL
+    keeps = LAWS[material.model].keeps_total
     total = total + dt * gradient @ total if keeps else f
     return ObjectState(x + dt * velocity, velocity, gradient, total, f if keeps else None, hardening)
 

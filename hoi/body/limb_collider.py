@@ -5,39 +5,31 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from hoi.body.capsules import Capsules, carry, distance_to_axes, fit_capsules
-from hoi.body.skeleton import JOINT_NAMES
+from hoi.body.capsules import Capsules, carry, fit_capsules
+from hoi.body.limbs import Limbs
+from hoi.body.segments import segment_distances
+from hoi.body.skeleton import CHAINS, JOINT_NAMES
 from hoi.body.skinning import joint_frames
-from hoi.config import ImpulseConf
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
 from hoi.errors import RunError
-from hoi.method.contact import Limbs
 from hoi.mpm.collider import Collider
 
-CHAINS = {
-    "left leg": (1, 4, 7, 10),
-    "right leg": (2, 5, 8, 11),
-    "left arm": (16, 18, 20, 22),
-    "right arm": (17, 19, 21, 23),
-    "head": (12, 15),
-    "trunk": (0, 3, 6, 9, 13, 14),
-}
-"""The joints that push together: each joint is in one chain."""
 NEAR = 0.1
 """A limb that comes this near to where the object would be, box to box, may push it too [m]."""
 
 
 def limb_collider(
-    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, conf: ImpulseConf
+    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, *, samples: int, friction: float
 ) -> tuple[Collider, tuple[str, ...]]:
     """The capsules of the striking limb, and of others that come near, from their last moment outside the object on.
 
-    Each joint's capsules are fitted once and carried along by the joint, `conf.samples` times a frame, with the motion
+    Each joint's capsules are fitted once and carried along by the joint, `samples` times a frame, with the motion
     interpolated as everywhere else. A limb other than the one that strikes pushes only if it is outside the object by
     then too. No capsule is thinner than the object's Gaussians are apart: it would slip in between them.
 
     Args:
         free: the object's free motion, in which `contact` was found.
+        friction: Coulomb coefficient between limb and object [-].
 
     Returns:
         the collider, its times those of the scene [s], and notes on what was left out.
@@ -45,7 +37,6 @@ def limb_collider(
     Raises:
         RunError: the striking limb is in the object from the first frame on.
     """
-    samples = conf.samples
     frames = np.arange((scene.frames - 1) * samples + 1) / samples
     rotations, positions = joint_frames(scene.body, motion, frames)
 
@@ -63,9 +54,8 @@ def limb_collider(
     first = next((at for at in before if clear(limbs[0], at)), None)
     if first is None or first == len(frames) - 1:
         raise RunError(
-            f"stage.contact.model=collider: the {striker} is in the object from the first frame to its contact at "
-            f"frame {contact.frame:.2f} ({JOINT_NAMES[contact.joint]}); move scene.placement.position away from the "
-            "person, or use stage.contact.model=impulse"
+            f"the {striker} is in the object from the first frame to its contact at frame {contact.frame:.2f} "
+            f"({JOINT_NAMES[contact.joint]})"
         )
     notes = []
     for chain in _near(scene, motion, free, int(frames[first])):
@@ -85,7 +75,7 @@ def limb_collider(
         starts=np.concatenate(starts, axis=1)[first:],
         ends=np.concatenate(ends, axis=1)[first:],
         radii=np.maximum(fitted, least),
-        friction=conf.friction,
+        friction=friction,
     )
     return collider, tuple(notes)
 
@@ -101,7 +91,7 @@ def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:
     low = (np.minimum(starts, ends) - radii[:, None]).min(axis=0)
     high = (np.maximum(starts, ends) + radii[:, None]).max(axis=0)
     near = points[np.all((points > low) & (points < high), axis=1)]
-    return bool((distance_to_axes(near, starts, ends) >= radii).all())
+    return bool((segment_distances(near, starts, ends) >= radii).all())
 
 
 def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> list[str]:

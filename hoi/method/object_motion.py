@@ -1,0 +1,103 @@
+"""The object alone (paper, Object Motion Simulation): what a mover is, and its walk from t = 0 to T."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Scene, SceneObject
+from hoi.mpm.collider import Collider
+from hoi.mpm.state import centre_of_mass, initial_state
+from hoi.reports import Stage
+
+
+@dataclass(frozen=True)
+class Advanced:
+    """The object at the frames that a mover was asked for."""
+
+    states: tuple[ObjectState, ...]
+    energy: Array
+    """Kinetic, elastic, potential [J], (K, 3)."""
+    phase: tuple[str, ...]
+    """What moved the object to each of the frames."""
+    impulse: Array = field(default_factory=lambda: np.zeros(3))
+    """What the collider gave the object [N s], shape (3,)."""
+    pushed: tuple[float, float] | None = None
+    """The first and last frame at which it gave any."""
+
+
+@dataclass(frozen=True)
+class World:
+    """An object and what is around it: of a scene, what concerns the object."""
+
+    thing: SceneObject
+    frames: int
+    """T."""
+    fps: float
+    gravity: Array
+    """[m/s^2], shape (3,)."""
+    planes: tuple[Plane, ...] = ()
+    """What it cannot enter."""
+
+
+class Mover(Protocol):
+    """Moves the object from its state at frame `start` to each of the frames `stops`; frames may be fractional."""
+
+    def __call__(
+        self,
+        scene: Scene | World,
+        state: ObjectState,
+        start: float,
+        stops: Sequence[float],
+        stage: Stage,
+        collider: Collider | None = None,
+    ) -> Advanced:
+        """`collider` is what pushes the object on the way; its times are those of the scene, frame 0 being 0 s."""
+        ...
+
+
+def at_rest(
+    scene: Scene | World,
+    state: ObjectState,
+    start: float,
+    stops: Sequence[float],
+    stage: Stage,
+    collider: Collider | None = None,
+) -> Advanced:
+    """Nothing happens: the object lies still."""
+    stage.advance(len(stops))
+    energy = np.array([rigid_energy(scene, state) for _ in stops])
+    return Advanced(tuple(state for _ in stops), energy, ("rest",) * len(stops))
+
+
+def rigid_energy(scene: Scene | World, state: ObjectState) -> tuple[float, float, float]:
+    """Kinetic, elastic and potential energy [J] of an object that does not deform."""
+    masses = scene.thing.masses
+    kinetic = 0.5 * float(masses @ (state.velocities**2).sum(axis=1))
+    potential = -float(masses @ (state.positions @ scene.gravity))
+    return kinetic, 0.0, potential
+
+
+def free_motion(scene: Scene | World, move: Mover, stage: Stage) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
+    """The object alone, from t = 0 to T (paper, Object Motion Simulation); with its states, to start again from."""
+    thing = scene.thing
+    start = initial_state(thing.particles, thing.masses, thing.velocity, thing.angular_velocity)
+    frames = move(scene, start, 0.0, range(scene.frames), stage)
+    return trajectory_of(thing, frames.states, frames.energy, frames.phase), frames.states
+
+
+def trajectory_of(
+    thing: SceneObject, states: Sequence[ObjectState], energy: Array, phase: tuple[str, ...]
+) -> ObjectTrajectory:
+    """What is recorded of the states at whole frames. F is kept where the MPM computed it."""
+    masses = thing.masses
+    deformation = np.stack([s.deformation_gradient for s in states]).astype(np.float32)
+    return ObjectTrajectory(
+        positions=np.stack([s.positions for s in states]).astype(np.float32),
+        com=np.stack([centre_of_mass(s.positions, masses) for s in states]),
+        com_velocity=np.stack([centre_of_mass(s.velocities, masses) for s in states]),
+        energy=np.asarray(energy),
+        deformation_gradient=deformation if {"mpm", "flight"} & set(phase) else None,
+        phase=phase,
+    )

@@ -1,0 +1,89 @@
+"""The object from the moment of contact on (paper, Contact Detection and Re-simulation)."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hoi.data import Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.method.object_motion import Advanced, Mover, at_rest, trajectory_of
+from hoi.mpm.collider import Collider
+from hoi.mpm.state import centre_of_mass, kick
+from hoi.reports import Stage
+
+SOON = 0.001
+"""How long after the impulse the object's velocity is compared with V_post [s]."""
+
+
+def resimulate(
+    scene: Scene,
+    free: ObjectTrajectory,
+    states: Sequence[ObjectState],
+    contact: Contact,
+    move: Mover,
+    stage: Stage,
+) -> ObjectTrajectory:
+    """The object from t_c on, its velocity changed by V_post - V_obj; what was before stays as in `free`."""
+    t_c = contact.frame
+    struck = kick(_state_at(scene, free, states, t_c, move, stage), contact.v_post - contact.v_object)
+    soon = t_c + SOON * scene.fps
+    frames = [float(frame) for frame in range(scene.frames) if frame >= t_c]
+    stops = sorted({soon, *frames})
+    after = move(scene, struck, t_c, stops, stage)
+    leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.thing.masses) - contact.v_post
+    stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
+    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames])
+
+
+def push_by(
+    scene: Scene,
+    free: ObjectTrajectory,
+    states: Sequence[ObjectState],
+    contact: Contact,
+    collider: Collider,
+    move: Mover,
+    stage: Stage,
+) -> tuple[ObjectTrajectory, Contact]:
+    """The object pushed by the collider from when that appears; before, it stays as in `free`.
+
+    Returns:
+        the trajectory, and the contact with the impulse and the duration that came of it.
+    """
+    start = float(collider.times[0]) * scene.fps
+    frames = [float(frame) for frame in range(scene.frames) if frame > start]
+    state = _state_at(scene, free, states, start, move, stage)
+    after = move(scene, state, start, frames, stage, collider)
+    first, last = after.pushed or (contact.frame, contact.frame)
+    stage.numbers.update(impulse=float(np.linalg.norm(after.impulse)), pushed_from=first, pushed_until=last)
+    if after.pushed is None:
+        stage.notes.append("the limb's capsules passed the object without touching it")
+    trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
+    return trajectory, replace(contact, impulse=after.impulse, duration=(last - first) / scene.fps)
+
+
+def _state_at(
+    scene: Scene, free: ObjectTrajectory, states: Sequence[ObjectState], frame: float, move: Mover, stage: Stage
+) -> ObjectState:
+    """The freely moving object at a fractional frame, from its state at the whole frame before."""
+    first = int(frame)
+    if frame <= first:
+        return states[first]
+    before = at_rest if free.phase[first] == "rest" else move
+    return before(scene, states[first], first, [frame], stage).states[-1]
+
+
+def _continued(
+    thing: SceneObject,
+    free: ObjectTrajectory,
+    states: Sequence[ObjectState],
+    after: Advanced,
+    chosen: Sequence[int],
+) -> ObjectTrajectory:
+    """`free` with its last frames replaced by the `chosen` states of `after`."""
+    kept = len(states) - len(chosen)
+    return trajectory_of(
+        thing,
+        (*states[:kept], *(after.states[index] for index in chosen)),
+        np.concatenate([free.energy[:kept], after.energy[list(chosen)]]),
+        (*free.phase[:kept], *(after.phase[index] for index in chosen)),
+    )

@@ -1,0 +1,99 @@
+"""Stage 3, whatever its loss: whether there is something to refine, and what came of it."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+
+from hoi.data import Motion, Scene, State
+from hoi.errors import RefineStopped
+from hoi.refine.fidelity import Fidelity
+from hoi.refine.meeting import Meeting, meet
+from hoi.refine.window import Window, window_around
+from hoi.reports import Stage
+
+if TYPE_CHECKING:
+    from hoi.stages.refine import WindowedRefinement
+
+
+def refined(
+    scene: Scene,
+    state: State,
+    settings: "WindowedRefinement",
+    distance: float,
+    improve: Callable[[Meeting], Motion],
+    stage: Stage,
+) -> Motion:
+    """The motion with theta improved around contact; as it was, where that is not needed or does not succeed.
+
+    `stage` is told how deep the limb is in the object, how much of it touches and how far it is off, before and after
+    (see `hoi.refine.fidelity.Fidelity`), or why nothing was done.
+
+    Args:
+        distance: d_contact [m].
+        improve: makes a better motion of what meets in the window; may raise RefineStopped.
+    """
+    motion, trajectory = state.motion, state.trajectory
+    assert motion is not None and trajectory is not None
+    window = contact_window(state, settings.half_width, scene.frames)
+    if window is None:
+        stage.notes.append("no contact: nothing to refine")
+        return motion
+    meeting = meet(scene, motion, trajectory, window)
+    if meeting is None:
+        stage.notes.append(f"the limb is not near the object at frame {window.t_c:.2f}: nothing to refine")
+        return motion
+    before = meeting.fidelity(motion, distance)
+    tell(stage, before, "before")
+    if settings.when == "needed" and before.penetration <= settings.tolerance:
+        deep = f"{before.penetration:.4f} m deep in the object, no more than {settings.tolerance:g} m"
+        stage.notes.append(f"not needed: the limb is {deep}")
+        return motion
+    try:
+        improved = improve(meeting)
+    except (RefineStopped, MemoryError, torch.OutOfMemoryError) as error:
+        reason = str(error) if isinstance(error, RefineStopped) else f"out of memory: {error}"
+        stage.numbers["stopped"] = 1.0
+        stage.notes.append(f"stopped, the motion from before is kept: {reason}")
+        return motion
+    tell(stage, meeting.fidelity(improved, distance), "after")
+    return improved
+
+
+class Nearest:
+    """Of the motions that it is shown, keeps the one that is nearest to touch; says when one is out of the object."""
+
+    def __init__(self, meeting: Meeting, distance: float, tolerance: float) -> None:
+        self._meeting, self._distance, self._tolerance = meeting, distance, tolerance
+        self._best = meeting.fidelity(meeting.motion, distance), meeting.motion
+
+    def __call__(self, tried: Motion) -> bool:
+        found = self._meeting.fidelity(tried, self._distance)
+        self._best = min(self._best, (found, tried), key=lambda each: each[0].miss)
+        return found.penetration <= self._tolerance
+
+    def kept(self, stage: Stage) -> Motion:
+        found, motion = self._best
+        if found.penetration > self._tolerance:
+            how = f"{found.penetration:.4f} m deep, {found.gap:.4f} m apart at t_c"
+            stage.notes.append(f"not out and touching: the nearest to it is kept, {how}")
+        return motion
+
+
+def contact_window(state: State, half_width: float, frames: int) -> Window | None:
+    """Around the contact that pushes the object; None where none was found.
+
+    Where none was looked for, around the frame in which the joint should meet the object: t*, or the one after it.
+    """
+    if state.contact is None:
+        target = state.target
+        return target and window_around(target.meeting_frame(frames), target.joint, half_width, frames)
+    push = state.contact.push
+    return push and window_around(push.frame, push.joint, half_width, frames, push)
+
+
+def tell(stage: Stage, fidelity: Fidelity, when: str) -> None:
+    """Put the fidelity in the stage's numbers."""
+    stage.numbers[f"penetration_{when}"] = fidelity.penetration
+    stage.numbers[f"touching_{when}"] = fidelity.touching
+    stage.numbers[f"gap_{when}"] = fidelity.gap

@@ -1,0 +1,241 @@
+"""Runs of the method: what they share, what came of each, and its record."""
+
+import math
+import os
+import resource
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from hoi.body.skeleton import JOINT_NAMES, LIMBS
+from hoi.body.skinning import posed_means
+from hoi.config import Config, Device
+from hoi.data import Array, Plan, Run, Scene, SceneObject, StageReport, State
+from hoi.errors import InputError, RunError
+from hoi.gaussians import colours
+from hoi.method.attraction import REACHED, Batch
+from hoi.method.optimization import Walk
+from hoi.plan import format_plan
+from hoi.record import Footage, write
+from hoi.reports import Bar, Stages, no_bar
+from hoi.runner.scene import build_scene
+
+if TYPE_CHECKING:
+    from hoi.render.encode import Video
+
+FAILURES = (RunError, MemoryError, torch.OutOfMemoryError)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run to do, and what its record says of it."""
+
+    config: Config
+    path: Path | None
+    """Of the record; the video goes beside it, as .mp4. None: the run is not recorded."""
+    config_yaml: str
+    provenance: dict[str, str]
+
+
+def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject | None = None) -> list[Run]:
+    """Walk the method with each job. The jobs differ in nothing but seed and path; those with a path are recorded.
+
+    Args:
+        bar: shows how a stage goes on.
+        thing: the object, in place of the one that the config names.
+
+    Raises:
+        InputError: the config asks for what this machine has not.
+        RunError: a run failed; what it had is recorded at `run.failed.mcap` beside its path. The others are done.
+    """
+    with torch_threads(jobs[0].config.threads):
+        return _run(jobs, plan, bar, thing)
+
+
+def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -> list[Run]:
+    started = time.perf_counter()
+    config = jobs[0].config
+    device, threads = pick_device(config.device), config.threads or os.cpu_count() or 1
+    config.render.check_machine()
+    scenes = [build_scene(job.config, plan, thing=thing) for job in jobs]
+    batch = Batch(scenes, [job.config.seed for job in jobs], device)
+    move = config.stage.object.mover(config.object.size, threads, device)
+    walk, failure = Walk(config, plan, batch, move, [Stages(bar) for _ in jobs], [State() for _ in jobs]), None
+    try:
+        walk.synthesise()
+        walk.coordinate()
+    except FAILURES as error:
+        failure = run_error(error)
+    shared = (time.perf_counter() - started) / len(jobs)
+
+    runs, failures = [], []
+    for number, job in enumerate(jobs):
+        finished, failed = finish(walk, number, job, failure, shared)
+        runs.append(finished)
+        if failed is not None:
+            failures.append((job.config.seed, failed))
+    if len(jobs) > 1 and failures:
+        what = "; ".join(f"seed {seed}: {failed}" for seed, failed in failures)
+        raise RunError(f"{len(failures)} of {len(jobs)} runs failed: {what}")
+    for _, failed in failures:
+        raise failed
+    return runs
+
+
+def finish(walk: Walk, number: int, job: Job, failure: RunError | None, shared: float) -> tuple[Run, RunError | None]:
+    """The rest of a run, unless what it shares with others has ended in `failure` already; and its record.
+
+    Args:
+        shared: its part of the time that the runs have taken together [s].
+
+    Returns:
+        the run, and why it failed, if it did.
+    """
+    started = time.perf_counter()
+    config, scene, stages = job.config, walk.batch.scenes[number], walk.stages[number]
+    video = footage = None
+
+    def so_far(result: dict[str, str]) -> Run:
+        reports, history = tuple(stages.reports), tuple(stages.history)
+        state = walk.states[number]
+        return Run(job.config_yaml, job.provenance, result, walk.plan, reports, history, scene, state)
+
+    try:
+        if failure is None:
+            walk.interact(number)
+            if walk.plan.keeps("render"):
+                with stages.stage("render", scene.frames) as stage:
+                    video, footage = config.render.draw(so_far({}), walk.batch.device, stage)
+    except FAILURES as error:
+        failure, video, footage = run_error(error), None, None
+    state = walk.states[number]
+    finished = so_far(
+        {
+            "status": "failed" if failure else "done",
+            "outcome": str(failure) if failure else outcome(config, walk.plan, state, stages.reports),
+            "variant": walk.plan.variant,
+            "device": walk.batch.device,
+            "seconds": repr(shared + time.perf_counter() - started),
+            "peak_memory_mb": repr(peak_memory_mb()),
+        }
+    )
+    if job.path is not None:
+        record(finished, job.path, config.human_points, video, footage)
+    return finished, failure
+
+
+def record(run: Run, path: Path, human_points: int, video: "Video | None", footage: Footage | None) -> None:
+    """Write the video and the record, `run.failed.mcap` of a run that failed; say what came of it.
+
+    The record comes last: where it is, the run is finished, and its video there.
+    """
+    failed = run.result["status"] == "failed"
+    path = path.with_name("run.failed.mcap") if failed else path
+    if not failed:
+        path.with_suffix(".mp4").unlink(missing_ok=True)  # of a run that this one replaces
+    assert run.scene is not None
+    if video is not None:
+        from hoi.render.encode import write_mp4
+
+        write_mp4(video, path.with_suffix(".mp4"))
+    points = viewing_points(run.scene, run.state, human_points)
+    write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
+    for line in (*run.scene.thing.notes, summary(run.result)):
+        print(line, file=sys.stderr)
+
+
+def run_error(error: Exception) -> RunError:
+    """What ended a run, as one line with a remedy."""
+    return error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
+
+
+def outcome(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:
+    """What happened, in one sentence."""
+    stopped = next((f"; stage 3 {r.notes[-1]}" for r in reports if "stopped" in r.numbers), "")
+    return f"{reached(config, plan, state, reports)}{stopped}"
+
+
+def reached(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:
+    """What touched the object, and whether the limb got there."""
+    gap = next((r.numbers["reach_gap"] for r in reports if "reach_gap" in r.numbers), 0.0)
+    push = state.contact.push if state.contact else None
+    if gap <= REACHED or state.target is None:
+        return struck(config, plan, state)
+    if push is not None and any({push.joint, state.target.joint} <= set(limb) for limb in LIMBS.values()):
+        return struck(config, plan, state)  # a little later than it should have
+    joint, frame = JOINT_NAMES[state.target.joint], state.target.frame
+    return f"{struck(config, plan, state)}; {joint} could not reach the object: {gap:.3f} m short at frame {frame}"
+
+
+def struck(config: Config, plan: Plan, state: State) -> str:
+    """What touched the object, and what came of it."""
+    search = state.contact
+    if search is None:
+        return "no contact looked for"
+    push = search.push
+    if push is None:
+        separating = " (touched while separating)" if search.contacts else ""
+        joint = JOINT_NAMES[search.smallest_gap_joint]
+        where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
+        return f"no contact{separating}: smallest gap {where}"
+    expected = push.joint in LIMBS[config.scene.expected_limb]
+    limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
+    speed = float(np.linalg.norm(push.v_post))
+    what = f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+    if plan.implementation("contact") != "collider" or state.trajectory is None:
+        return what
+    left = push.frame + push.duration * config.scene.fps
+    after = state.trajectory.com_velocity[min(math.ceil(left), len(state.trajectory.com_velocity) - 1)]
+    return f"{what}; pushed for {1000 * push.duration:.0f} ms, it then went at {np.linalg.norm(after):.2f} m/s"
+
+
+def summary(result: dict[str, str]) -> str:
+    seconds, memory = float(result["seconds"]), float(result["peak_memory_mb"])
+    return f"{result['variant']}: {result['outcome']}; {seconds:.1f} s, {memory:.0f} MB"
+
+
+def viewing_points(scene: Scene, state: State, count: int) -> tuple[Array | None, Array | None]:
+    """A decimated posed person for the viewers: points (T, M, 3) [m], colours (M, 3) in [0, 1]; None without motion."""
+    if state.motion is None:
+        return None, None
+    chosen = np.linspace(0, len(scene.body.cloud) - 1, min(count, len(scene.body.cloud))).astype(int)
+    return posed_means(scene.body, state.motion, subset=chosen), colours(scene.body.cloud)[chosen]
+
+
+def pick_device(wanted: Device) -> str:
+    """ "cpu" or "cuda", for torch and Taichi alike.
+
+    Raises:
+        InputError: cuda was asked for and there is none.
+    """
+    if wanted is Device.cpu:
+        return "cpu"
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted is Device.cuda:
+        raise InputError("device=cuda: no CUDA device found; use device=auto or device=cpu")
+    return "cpu"
+
+
+@contextmanager
+def torch_threads(count: int | None) -> Iterator[None]:
+    """PyTorch works with so many threads in here; None leaves it as it is."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def peak_memory_mb() -> float:
+    """Highest resident memory of this process so far [MB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3

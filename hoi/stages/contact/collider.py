@@ -1,0 +1,61 @@
+"""Contact that deforms: detected as in the paper, but then the limb pushes the object, as capsules in the MPM."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from omegaconf import MISSING
+
+from hoi.errors import RunError
+from hoi.stages.contact import Detection
+from hoi.stages.contract import Requirements, option
+
+if TYPE_CHECKING:
+    from hoi.config import Config
+    from hoi.data import ContactSearch, ObjectState, ObjectTrajectory, Scene, State
+    from hoi.method.object_motion import Mover
+    from hoi.reports import Stage
+
+
+@option("stage/contact", "collider")
+@dataclass
+class Collider(Detection):
+    """Contact detection, and the striking limb as a moving obstacle in the MPM."""
+
+    since = "from when the limb is last clear of it to T, the limb a moving obstacle"
+
+    friction: float = MISSING
+    """Coulomb coefficient between limb and object [-]."""
+    samples: int = MISSING
+    """Times a frame at which the limb's place is computed; straight lines in between."""
+
+    def check(self, config: Config, require: Requirements) -> None:
+        super().check(config, require)
+        own, mover = require.of(self.key), config.stage.object
+        own(self.friction >= 0, "friction", self.friction, "0 or more")
+        own(self.samples >= 1, "samples", self.samples, "1 or more")
+        rule = f"impulse where stage/object is {mover.name}: a limb can only push what the MPM moves"
+        require(mover.yields, self.group, self.name, rule)
+
+    def answer(
+        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
+    ) -> tuple[ObjectTrajectory, ContactSearch]:
+        from hoi.body.limb_collider import limb_collider
+        from hoi.method.resimulation import push_by
+
+        motion, free, search = state.motion, state.trajectory, state.contact
+        assert motion is not None and free is not None and search is not None and search.push is not None
+        push = search.push
+        try:
+            limb, notes = limb_collider(scene, motion, free, push, samples=self.samples, friction=self.friction)
+        except RunError as error:
+            raise RunError(
+                f"stage/contact=collider: {error}; move scene.placement.position away from the person, or use "
+                "stage/contact=impulse"
+            ) from None
+        stage.notes.extend(notes)
+        trajectory, pushed = push_by(scene, free, restarts, push, limb, move, stage)
+        contacts = tuple(pushed if each is push else each for each in search.contacts)
+        return trajectory, replace(search, contacts=contacts)

@@ -1,0 +1,154 @@
+"""Human motion score distillation, from a sample of the prior, the standing pose or a motion file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from omegaconf import MISSING
+
+from hoi.body.skeleton import JOINT_COUNT, LIMBS
+from hoi.errors import InputError, under
+from hoi.stages.contract import Draft, MotionSource, Requirements, option
+
+if TYPE_CHECKING:
+    from hoi.config import Config, SceneConf
+    from hoi.data import Motion, Scene, Target
+    from hoi.method.hmsd import ScoreDistillation
+    from hoi.reports import Stage
+
+
+class MotionInit(StrEnum):
+    sample = "sample"
+    stand = "stand"
+    file = "file"
+
+
+class Sampler(StrEnum):
+    ancestral = "ancestral"
+    ddim = "ddim"
+
+
+class UpAxis(StrEnum):
+    auto = "auto"
+    y = "y"
+    z = "z"
+
+
+STARTS = {
+    MotionInit.sample: "a sample of the prior",
+    MotionInit.stand: "the standing pose",
+    MotionInit.file: "the file",
+}
+"""What stage 1 starts from."""
+
+
+@option("stage/motion", "hmsd")
+@dataclass
+class HMSD(MotionSource):
+    """Human motion score distillation."""
+
+    stands_for: ClassVar[dict[str, str]] = {
+        "no_mdm": "the motion prior",
+        "motion_from_file": "the motion from the sentence",
+    }
+
+    checkpoint: str | None = None
+    """The motion prior: null for the one in the package, or a file or folder."""
+    init: MotionInit = MISSING
+    """Start from a sample of the prior, from the standing pose, or from a motion file."""
+    path: str | None = None
+    """The motion file (.npz, .bvh), for init=file."""
+    start_time: float = 0.0
+    """Where in the file the motion begins [s]."""
+    up: UpAxis = UpAxis.auto
+    """The file's up axis; auto tells it from the person's."""
+    sample_guidance: float = MISSING
+    """Guidance scale of that sample [-]."""
+    sample_rescale: float = MISSING
+    """Share of its overshoot that is taken back [-]."""
+    sampler: Sampler = MISSING
+    """Ancestral, with fresh noise at each step, or DDIM, without."""
+    sample_steps: int | None = MISSING
+    """Evenly spaced timesteps of that sample; null takes all."""
+    iterations: int = MISSING
+    """N_init."""
+    learning_rate: float = MISSING
+    """Of Adam on X = (r, omega, theta) [-]."""
+    guidance: float = MISSING
+    """Classifier-free guidance scale of the distillation [-]."""
+    guidance_rescale: float = MISSING
+    """Share of the guided prediction's overshoot that is taken back [-]."""
+    t_min: int = MISSING
+    """Diffusion timesteps are drawn from here ..."""
+    t_max: int = MISSING
+    """... up to the one before this."""
+
+    def check(self, config: Config, require: Requirements) -> None:
+        own, key = require.of(self.key), self.key
+        rule = "3 or more: the motion prior sees velocities and their changes"
+        require(config.scene.frames >= 3, "scene.frames", config.scene.frames, rule)
+        own(self.iterations >= 0, "iterations", self.iterations, "0 or more")
+        given, named = self.path is not None, self.init is MotionInit.file
+        rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: {key}.init is {self.init.value}"
+        own(given == named, "path", "null" if self.path is None else self.path, rule)
+        own(self.start_time >= 0, "start_time", self.start_time, "0 or more [s]")
+        for name in ("guidance_rescale", "sample_rescale"):
+            own(0 <= getattr(self, name) <= 1, name, getattr(self, name), "in [0, 1]")
+        own(
+            self.sample_steps is None or self.sample_steps >= 1, "sample_steps", self.sample_steps, "1 or more, or null"
+        )
+        own(self.learning_rate > 0, "learning_rate", self.learning_rate, "greater than 0")
+        own(0 <= self.t_min < self.t_max, "t_min", self.t_min, f"in [0, {key}.t_max = {self.t_max})")
+
+    def plan(self, config: Config, draft: Draft) -> None:
+        if self.path is not None and not Path(self.path).is_file():
+            raise InputError(f"{self.key}.path: no such file: {self.path}")
+        if self.checkpoint is not None and not Path(self.checkpoint).exists():
+            raise InputError(
+                f"{self.key}.checkpoint: no such file or folder: {self.checkpoint}; "
+                f"{self.key}.checkpoint=null runs with the prior of the package"
+            )
+        coordinate = config.stage.coordinate
+        in_stage_2 = coordinate.lambda_hmsd > 0 and coordinate.iterations > 0
+        used = self.init is MotionInit.sample or self.iterations > 0 or in_stage_2
+        draft.uses += ["motion"] + ["motion_prior"] * used + ["hmsd"] * in_stage_2
+        start = STARTS[self.init] if self.path is None else f"{STARTS[self.init]} {self.path}"
+        if self.iterations > 0 or self.init is MotionInit.sample:
+            detail = f"{self.iterations} iterations, CFG {self.guidance:g}, from {start}"
+            draft.run("motion", self.name, detail)
+        else:
+            where = "in L_HMSD of stage 2 alone" if used else "nowhere"
+            draft.run("motion", self.init.value, f"{start}, as it is; the motion prior is used {where}")
+        if not used:
+            draft.without.append("no_mdm")
+            because = "neither stage 1 nor stage 2 distils from it"
+            draft.omit("motion prior", because, "importing it and its text encoder")
+        if self.init is MotionInit.file:
+            draft.without.append("motion_from_file")
+
+    def units(self) -> int:
+        return self.iterations
+
+    def prior(self, scene: Scene, device: str, stand: bool) -> ScoreDistillation:
+        from hoi.method.hmsd import load_distillation
+
+        return load_distillation(scene, self, device, stand)
+
+    def motions(
+        self, scene: Scene, distillation: ScoreDistillation | None, seeds: Sequence[int], stages: Sequence[Stage]
+    ) -> list[Motion]:
+        from hoi.method.hmsd import synthesise
+
+        with under(self.key, "start_time", "up"):
+            return synthesise(scene, distillation, self, seeds, stages)
+
+    def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
+        from hoi.body.skinning import joint_paths
+        from hoi.method.attraction import choose_target
+
+        candidates = LIMBS[conf.striking_limb] if conf.striking_limb else range(JOINT_COUNT)
+        return choose_target(joint_paths(scene.body, motion), candidates)

@@ -1,0 +1,29 @@
+"""No motion prior: the pose is optimised from the standing pose (paper, w/o MDM)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from hoi.body.skeleton import JOINT_NAMES
+from hoi.data import Motion, Scene, Target
+from hoi.stages.contract import Draft, MotionSource, option
+
+if TYPE_CHECKING:
+    from hoi.config import Config, SceneConf
+
+
+@option("stage/motion", "none")
+@dataclass
+class NoMotion(MotionSource):
+    """None: the person stands until stage 2 moves them."""
+
+    stands_for: ClassVar[dict[str, str]] = {"no_mdm": "the motion prior"}
+
+    def plan(self, config: Config, draft: Draft) -> None:
+        draft.without.append("no_mdm")
+        because = "stage/motion is none: the pose starts standing, j* and t* come from the scene"
+        draft.omit("motion", because, "importing the motion prior and its text encoder")
+
+    def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
+        return Target(JOINT_NAMES.index(conf.contact_joint), conf.contact_frame, "scene")

@@ -1,0 +1,224 @@
+"""The object by the material point method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from omegaconf import MISSING
+
+from hoi.errors import RunError
+from hoi.mpm.laws import LAWS
+from hoi.stages.contract import Draft, ObjectMover, Requirements, option
+
+if TYPE_CHECKING:
+    from hoi.config import Config
+    from hoi.data import ObjectState, Scene
+    from hoi.method.object_motion import Advanced, Mover, World
+    from hoi.mpm.collider import Collider
+    from hoi.mpm.phases import Tally
+    from hoi.reports import Stage
+
+
+class Precision(StrEnum):
+    float32 = "float32"
+    float64 = "float64"
+
+
+class Spline(StrEnum):
+    quadratic = "quadratic"
+    cubic = "cubic"
+
+
+@option("stage/object", "mpm")
+@dataclass
+class MPM(ObjectMover):
+    """The material point method."""
+
+    yields = True
+
+    cells_across: int | None = None
+    """Grid cells across the object's largest extent; null when `domain` and `grid` are given."""
+    domain: float | None = None
+    """Edge of the whole domain [m]; with `grid`, the cell size is domain / grid."""
+    grid: int | None = None
+    """Cells along that edge."""
+    dt: float | None = None
+    """Time step [s]; null chooses it from the stability limit."""
+    limit_fraction: float = MISSING
+    """Fraction of the stability limit that a chosen dt takes [-]."""
+    spline: Spline = MISSING
+    """B-splines between particles and grid."""
+    precision: Precision = MISSING
+    """Of particles and grid."""
+    phases: bool = MISSING
+    """Leave out the steps that the motion does not need: rest, and flight between contacts."""
+    vibration_tolerance: float = MISSING
+    """Amplitude of the vibration, and way crept, that `phases` may leave out, relative to the object's size [-]."""
+
+    def cell(self, object_size: float) -> float:
+        """Grid spacing dx [m]: relative to the object, or domain / grid."""
+        if self.cells_across is not None:
+            return object_size / self.cells_across
+        assert self.domain is not None and self.grid is not None
+        return self.domain / self.grid
+
+    def check(self, config: Config, require: Requirements) -> None:
+        own = require.of(self.key)
+        own(0 < self.limit_fraction <= 1, "limit_fraction", self.limit_fraction, "in (0, 1]")
+        own(self.vibration_tolerance >= 0, "vibration_tolerance", self.vibration_tolerance, "0 or more")
+        own(self.dt is None or self.dt > 0, "dt", self.dt, "greater than 0 [s], or null")
+        for name in ("cells_across", "grid", "domain"):
+            value = getattr(self, name)
+            own(value is None or value > 0, name, value, "greater than 0, or null")
+        by_domain = (self.domain is None) == (self.grid is None)
+        require(
+            by_domain and (self.cells_across is None) != (self.domain is None),
+            self.key,
+            f"cells_across={self.cells_across}, domain={self.domain}, grid={self.grid}",
+            "given either cells_across or both domain and grid",
+        )
+
+    def plan(self, config: Config, draft: Draft) -> None:
+        if self.phases and config.lies_still():
+            because = (
+                "the object is stable, on the ground and at rest: it stays where it is (its elastic sag is left out)"
+            )
+            draft.omit("free_motion", because, f"{config.scene.frames - 1} frames of MPM")
+        else:
+            draft.run("free_motion", self.name, "the object alone, from t = 0 to T")
+
+    def closing(self, config: Config, draft: Draft) -> None:
+        if not any(step.implementation == self.name for step in draft.steps):
+            saves = "the simulation" if config.render.compiles else "importing Taichi"
+            draft.omit("MPM", "no kept step simulates", saves)
+            return
+        from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
+
+        materials, dx = draft.materials, self.cell(config.object.size)
+        placement, gravity = config.scene.placement, -config.scene.gravity[2]
+        fall = math.sqrt(2 * max(gravity, 0.0) * (placement.position[2] or 0.0))
+        speed = math.hypot(*placement.velocity) + fall
+        limit = time_step_limit(materials, dx, speed)
+        dt = choose_time_step(materials, dx, speed, dt=self.dt, fraction=self.limit_fraction)
+        cfl, steps = cfl_number(materials, dx, dt, speed), config.scene.frames / config.scene.fps / dt
+        draft.check("cfl", f"{cfl:.2f}", f"dt {dt:.3g} s, limit {limit:.3g} s")
+        draft.check("resolution", f"{config.object.size / dx:.1f}", f"cells of {dx:.3g} m across the object")
+        draft.check("steps", f"{steps:.0f}", "for the whole scene")
+        draft.check("phases", *self._phases({material.model for material in materials}))
+
+    def _phases(self, models: set[str]) -> tuple[str, str]:
+        """Whether steps may be left out, and at what cost."""
+        if not self.phases:
+            return "mpm", "stage.object.phases is false: every step is taken"
+        loose = sorted(model for model in models if not LAWS[model].rigid)
+        bound = f"up to {self.vibration_tolerance:g} of the size of vibration and creep left out"
+        if loose:
+            return "mpm, rest", f"{bound}; {', '.join(loose)} flies as one piece only until it is touched"
+        return "mpm, flight, rest", f"exact rigid flight where no contact is possible; {bound}"
+
+    def mover(self, object_size: float, threads: int, device: str) -> Mover:
+        from functools import partial
+
+        return partial(advance, conf=self, size=object_size, threads=threads, device=device)
+
+
+def advance(
+    scene: Scene | World,
+    state: ObjectState,
+    start: float,
+    stops: Sequence[float],
+    stage: Stage,
+    collider: Collider | None = None,
+    *,
+    conf: MPM,
+    size: float,
+    threads: int,
+    device: str,
+) -> Advanced:
+    """The walk through the phases of the motion; see `hoi.method.object_motion.Mover`.
+
+    Raises:
+        RunError: the simulation cannot go on; says at which frame.
+    """
+    import numpy as np
+
+    from hoi.method.object_motion import Advanced
+    from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
+    from hoi.mpm.solver import Simulation
+
+    thing, dx = scene.thing, conf.cell(size)
+    planes = scene.planes
+    times = (np.asarray(stops) - start) / scene.fps
+    if collider is not None:
+        collider = replace(collider, times=collider.times - start / scene.fps)
+
+    def simulation(state: ObjectState, now: float) -> Simulation:
+        return Simulation(
+            state,
+            thing.volumes,
+            thing.materials,
+            region=thing.region,
+            dx=dx,
+            dt=conf.dt,
+            fraction=conf.limit_fraction,
+            gravity=scene.gravity,
+            planes=planes,
+            collider=None if collider is None else replace(collider, times=collider.times - now),
+            spline=conf.spline.value,
+            precision=conf.precision.value,
+            threads=threads,
+            device="cuda" if device == "cuda" else "cpu",
+        )
+
+    width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
+    reaches = [reach_of(plane, dx, width) for plane in planes]
+    whole = all(LAWS[material.model].rigid for material in thing.materials)
+    walk = Walk(
+        state,
+        thing.masses,
+        simulation,
+        end=float(times[-1]),
+        gravity=scene.gravity,
+        surroundings=Surroundings(planes, reaches, collider, 0.5 * width * math.sqrt(3) * dx),
+        size=thing.size,
+        moment=dx**2 / (4 if width == 3 else 3),
+        frequency=lowest_frequency(thing.particles, thing.masses, thing.materials) if whole else None,
+        tolerance=conf.vibration_tolerance if conf.phases else None,
+    )
+    states, phases = [], []
+    for time in times:
+        try:
+            reached, phase = walk.advance(float(time))
+        except RunError as error:
+            raise RunError(f"object at frame {start + walk.time * scene.fps:.2f}: {error}") from error
+        states.append(reached)
+        phases.append(phase)
+        stage.advance()
+    tally = walk.finish()
+    _count(stage.numbers, tally)
+    energy = [walk.simulation.energies(reached) for reached in states]
+    pushed = None
+    if tally.push_end > tally.push_start:
+        pushed = start + tally.push_start * scene.fps, start + tally.push_end * scene.fps
+    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), tally.collider_impulse, pushed)
+
+
+def _count(numbers: dict[str, float], tally: Tally) -> None:
+    """Adds what a walk did and left out to the stage's report; a stage may walk more than once."""
+    adds = {
+        "steps": tally.steps,
+        "steps_left_out": round(tally.steps_left_out),
+        "phase_changes": tally.changes,
+        **{f"seconds_{phase}": seconds for phase, seconds in tally.seconds.items()},
+        "energy_left_out": tally.energy,
+        "compile_seconds": tally.compile_seconds,
+    }
+    greatest = {"vibration_left_out": tally.vibration, "cfl": tally.cfl, "dt_most": tally.dt_most}
+    numbers.update({name: numbers.get(name, 0.0) + value for name, value in adds.items()})
+    numbers.update({name: max(numbers.get(name, 0.0), value) for name, value in greatest.items()})
+    if tally.steps:
+        numbers["dt_least"] = min(numbers.get("dt_least", math.inf), tally.dt_least)

@@ -1,0 +1,130 @@
+"""Temporally masked Video-SDS (paper, Video-SDS for Contact Fidelity), with the prior in the package or CogVideoX."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from omegaconf import MISSING
+
+from hoi.errors import under
+from hoi.stages.contract import LARGEST_PICTURE, SMALLEST_PICTURE, Draft, Requirements, option
+from hoi.stages.refine import RefineWhen, WindowedRefinement
+from hoi.video_prior.files import EMBEDDED_PICTURE, check_video_prior
+
+if TYPE_CHECKING:
+    from hoi.config import Config
+    from hoi.data import Motion, Scene, State
+    from hoi.refine.meeting import Meeting
+    from hoi.reports import Stage
+
+
+class VideoPriorKind(StrEnum):
+    embedded = "embedded"
+    cogvideox = "cogvideox"
+
+
+@option("stage/refine", "video_sds")
+@dataclass
+class VideoSDS(WindowedRefinement):
+    """Temporally masked Video-SDS."""
+
+    prior: VideoPriorKind = MISSING
+    """The one in the package, or CogVideoX-5B."""
+    checkpoint: str | None = None
+    """Of CogVideoX a folder or hub name; of an embedded prior a file or folder, null for the one in the package."""
+    learning_rate: float = MISSING
+    """Of Adam on theta [-]."""
+    guidance: float = MISSING
+    """Classifier-free guidance scale [-]."""
+    guidance_rescale: float = MISSING
+    """Share of the guided prediction's overshoot that is taken back [-]."""
+    t_min: int = MISSING
+    """Diffusion timesteps, of 1000, are drawn from here ..."""
+    t_max: int = MISSING
+    """... up to this ..."""
+    t_max_end: int = MISSING
+    """... which falls linearly to this ..."""
+    t_max_iterations: int = MISSING
+    """... in so many iterations and stays there."""
+    viewpoints: int = MISSING
+    """Cameras, evenly spaced on a circle around the action; an iteration looks from one."""
+    elevation: float = MISSING
+    """Of the cameras above the horizon [rad]."""
+    distance: float | None = MISSING
+    """Radius of that circle [m]; null frames what the prior wants to see."""
+    width: int = MISSING
+    """Of the pictures [pixel]; the embedded prior has its own size."""
+    height: int = MISSING
+    """Of the pictures [pixel]; the embedded prior has its own size."""
+    clip_frames: int | None = MISSING
+    """Frames that the prior sees; null: as many as it was trained on."""
+    offload: bool = MISSING
+    """Keep on the GPU only what is at work (prior=cogvideox)."""
+    lambda_geometry: float = MISSING
+    """Of the loss of stage/refine=geometric, added to Video-SDS; the paper has none [-]."""
+
+    def check(self, config: Config, require: Requirements) -> None:
+        super().check(config, require)
+        own, embedded = require.of(self.key), self.prior is VideoPriorKind.embedded
+        rule = f"a folder or hub name: {self.key}.prior is cogvideox"
+        own(embedded or self.checkpoint is not None, "checkpoint", "null", rule)
+        own(self.learning_rate > 0, "learning_rate", self.learning_rate, "greater than 0")
+        own(0 <= self.guidance_rescale <= 1, "guidance_rescale", self.guidance_rescale, "in [0, 1]")
+        for name, highest in (("t_max", 999), ("t_max_end", self.t_max), ("t_min", self.t_max_end)):
+            own(0 <= getattr(self, name) <= highest, name, getattr(self, name), f"in [0, {highest}]")
+        own(self.t_max_iterations >= 1, "t_max_iterations", self.t_max_iterations, "1 or more")
+        own(self.viewpoints >= 1, "viewpoints", self.viewpoints, "1 or more")
+        own(abs(self.elevation) < math.pi / 2, "elevation", self.elevation, "in (-pi/2, pi/2)")
+        distance, clip = self.distance, self.clip_frames
+        own(distance is None or distance > 0, "distance", distance, "greater than 0 [m], or null")
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            inside = SMALLEST_PICTURE <= value <= LARGEST_PICTURE and value % SMALLEST_PICTURE == 0
+            own(inside, name, value, f"a multiple of {SMALLEST_PICTURE} up to {LARGEST_PICTURE}")
+        if embedded:  # what it has been trained on
+            own(clip is None, "clip_frames", clip, f"null with {self.key}.prior=embedded")
+            for name in ("width", "height"):
+                rule = f"{EMBEDDED_PICTURE} with {self.key}.prior=embedded"
+                own(getattr(self, name) == EMBEDDED_PICTURE, name, getattr(self, name), rule)
+        else:
+            whole = clip is None or (clip >= 1 and clip % 4 == 1)
+            own(whole, "clip_frames", clip, "4 k + 1 frames (9, 13, ..., 49), or null")
+        own(self.lambda_geometry >= 0, "lambda_geometry", self.lambda_geometry, "0 or more")
+
+    def plan(self, config: Config, draft: Draft) -> None:
+        with under(self.key):
+            check_video_prior(self.prior, self.checkpoint)
+        super().plan(config, draft)
+
+    def described(self) -> str:
+        said = f", CFG {self.guidance:g}, {self.prior.value} {self.checkpoint or 'in the package'}"
+        return f"{said}, + {self.lambda_geometry:g} L_geometry" if self.lambda_geometry > 0 else said
+
+    def refine(self, scene: Scene, state: State, config: Config, device: str, stage: Stage) -> Motion:
+        from hoi.method.video_sds import memory_may_run_out, video_sds
+        from hoi.refine.stage import Nearest, refined
+        from hoi.video_prior import load_video_prior
+
+        distance = config.stage.contact.d_contact
+
+        def improve(meeting: Meeting) -> Motion:
+            nearest = Nearest(meeting, distance, self.tolerance) if self.when is RefineWhen.needed else None
+            with memory_may_run_out(), under(self.key, "prior", "checkpoint", "width", "clip_frames", "half_width"):
+                prior = load_video_prior(
+                    self.prior,
+                    device,
+                    checkpoint=self.checkpoint,
+                    width=self.width,
+                    height=self.height,
+                    clip_frames=self.clip_frames,
+                    offload=self.offload,
+                )
+                prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
+                where = {"seed": config.seed, "device": device, "stage": stage}
+                improved = video_sds(prior, scene, state, meeting.window, self, **where, enough=nearest)
+            return improved if nearest is None else nearest.kept(stage)
+
+        return refined(scene, state, self, distance, improve, stage)
