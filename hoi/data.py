@@ -6,7 +6,7 @@ frames), `time` is in seconds, `step` an MPM substep, `iteration` an optimiser i
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 from hoi.errors import InputError
 
 Array = NDArray[np.floating[Any]]
+
+
+def fields_of(owner: Any) -> dict[str, Any]:
+    """The fields of a dataclass as they are, by name."""
+    return {f.name: getattr(owner, f.name) for f in fields(owner)}
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from hoi.data import Array, GaussianCloud
+from hoi.data import Array, GaussianCloud, fields_of
 from hoi.errors import InputError
 
 T = TypeVar("T", bound=Any)
@@ -311,7 +311,7 @@ def fibonacci_sphere(count: int) -> Array:
 
 def select(cloud: GaussianCloud, rows: NDArray[Any]) -> GaussianCloud:
     """The Gaussians of a mask or of indices."""
-    return GaussianCloud(*(array[rows] for array in vars(cloud).values()))
+    return GaussianCloud(*(array[rows] for array in fields_of(cloud).values()))
 
 
 def rotation_matrices(cloud: GaussianCloud) -> Array:

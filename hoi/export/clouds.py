@@ -7,6 +7,7 @@ Rows are those of the record in every frame, the person's first, so that a Gauss
 import gzip
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from hoi import gaussians
 from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
-from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject
+from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
 from hoi.export.axes import AXES
 from hoi.files import whole_file, whole_folder
 from hoi.render.shown import scene_of
@@ -113,13 +114,8 @@ def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
     """All Gaussians as one cloud; harmonics that a part lacks are zero."""
     bands = max(part.sh.shape[1] for part in parts)
     sh = [np.pad(part.sh, ((0, 0), (0, bands - part.sh.shape[1]), (0, 0))) for part in parts]
-    return GaussianCloud(
-        np.concatenate([part.means for part in parts]),
-        np.concatenate([part.quaternions for part in parts]),
-        np.concatenate([part.scales for part in parts]),
-        np.concatenate([part.opacities for part in parts]),
-        np.concatenate(sh),
-    )
+    padded = [replace(part, sh=harmonics) for part, harmonics in zip(parts, sh, strict=True)]
+    return GaussianCloud(*map(np.concatenate, zip(*(fields_of(part).values() for part in padded), strict=True)))
 
 
 def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:
@@ -134,14 +130,14 @@ def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:
         if sh.shape[1] > 1:
             turned = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
             sh = gaussians.rotate_sh(sh, turned @ still.transpose(0, 2, 1))
-        yield GaussianCloud(means, quaternions, body.cloud.scales, body.cloud.opacities, sh)
+        yield replace(body.cloud, means=means, quaternions=quaternions, sh=sh)
 
 
 def _thing(thing: SceneObject, trajectory: ObjectTrajectory) -> Iterator[GaussianCloud]:
     count, cloud = len(thing.cloud), thing.cloud
     for frame, positions in enumerate(trajectory.positions):
         if trajectory.deformation_gradient is None:
-            yield GaussianCloud(positions[:count], cloud.quaternions, cloud.scales, cloud.opacities, cloud.sh)
+            yield replace(cloud, means=positions[:count])
         else:
             gradient = trajectory.deformation_gradient[frame, :count].astype(np.float64)
             yield gaussians.deform(cloud, positions[:count], gradient)

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from hoi.body.kinematics import local_rotations
 from hoi.body.people import vertex_normals
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Run, SceneObject
 from hoi.export.axes import Y_UP, linear
 from hoi.export.gltf import INDICES, POINTS, TRIANGLES, VERTICES, Document
-from hoi.export.person import skinned_mesh
+from hoi.export.person import local_turns, skinned_mesh
 from hoi.export.surface import Faces
 from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw
 from hoi.render.shown import scene_of
@@ -64,8 +62,7 @@ class _Animation:
 def _person(document: Document, animation: _Animation, body: Body, motion: Motion) -> list[int]:
     """The roots of the scene that show the person: mesh and skeleton."""
     mesh = skinned_mesh(body)
-    parameters = (torch.from_numpy(array).double() for array in (motion.orientation, motion.body_pose))
-    local = local_rotations(*parameters).numpy()
+    local = local_turns(motion)
     local[:, 0] = Y_UP @ local[:, 0]
     turns = quaternions_xyzw(local)
     root = motion.translation.astype(np.float64) @ Y_UP.T

@@ -4,14 +4,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
-from hoi.body.kinematics import local_rotations
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Run
 from hoi.errors import InputError
 from hoi.export.axes import Y_UP
+from hoi.export.person import local_turns
 from hoi.files import whole_file
 
 BETAS = 10
@@ -95,6 +94,5 @@ def _motion(run: Run) -> tuple[Array, Array, Array, float]:
     motion = run.state.motion
     if motion is None or run.scene is None:
         raise InputError("the run has no motion")
-    parameters = (torch.from_numpy(np.asarray(a, np.float64)) for a in (motion.orientation, motion.body_pose))
-    local = local_rotations(*parameters).numpy()
-    return run.scene.body.rest_joints.astype(np.float64), local, motion.translation.astype(np.float64), motion.fps
+    rest, path = (array.astype(np.float64) for array in (run.scene.body.rest_joints, motion.translation))
+    return rest, local_turns(motion), path, motion.fps

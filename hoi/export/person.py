@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from hoi.body.kinematics import local_rotations
 from hoi.body.people import vertex_normals
 from hoi.body.skeleton import JOINT_COUNT
-from hoi.data import Array, Body
+from hoi.data import Array, Body, Motion
 from hoi.export.surface import Faces, blend_weights, reconstruct
 from hoi.gaussians import colours
 
@@ -67,6 +69,12 @@ def skinned_mesh(body: Body) -> SkinnedMesh:
     joints, weights = strongest(dense)
     mixed = np.einsum("vk,vkc->vc", blend, rgb[rows])
     return SkinnedMesh(vertices, faces, mixed, joints, weights, body.rest_joints.astype(np.float64))
+
+
+def local_turns(motion: Motion) -> Array:
+    """Rotations of the joints, each in its parent's frame, the root's in the world, (T, 24, 3, 3), float64."""
+    parameters = (torch.from_numpy(np.asarray(a, np.float64)) for a in (motion.orientation, motion.body_pose))
+    return local_rotations(*parameters).numpy()
 
 
 def strongest(weights: Array) -> tuple[NDArray[np.uint8], Array]:

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from hoi.body.kinematics import local_rotations
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
 from hoi.data import Array, Body, Motion, Run
 from hoi.errors import InputError, RunError
 from hoi.export.axes import linear
-from hoi.export.person import skinned_mesh
+from hoi.export.person import local_turns, skinned_mesh
 from hoi.export.surface import Faces
 from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw
 from hoi.files import whole_file
@@ -71,8 +69,7 @@ def _person(stage: Any, body: Body, motion: Motion) -> None:
         matrices = [Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in places.tolist()]
         getattr(skeleton, f"Create{create}TransformsAttr")(matrices)
 
-    parameters = (torch.from_numpy(np.asarray(a, np.float64)) for a in (motion.orientation, motion.body_pose))
-    turns = quaternions_xyzw(local_rotations(*parameters).numpy())[..., [3, 0, 1, 2]]
+    turns = quaternions_xyzw(local_turns(motion))[..., [3, 0, 1, 2]]
     animation: Any = UsdSkel.Animation.Define(stage, "/scene/person/animation")
     animation.CreateJointsAttr(paths)
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1)] * len(paths)))

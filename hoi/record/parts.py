@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject
+from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject, fields_of
 
 T = TypeVar("T")
 
@@ -21,7 +21,7 @@ _OBJECT = ("name", "size", "notes", "material", "other_materials")
 def plain(value: Any) -> Any:
     """Dataclasses, arrays and tuples as what JSON can say. Non-finite numbers become "NaN", "Infinity", "-Infinity"."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return plain(fields_of(value))
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -105,7 +105,8 @@ def _facts(owner: Any, names: tuple[str, ...]) -> dict[str, Any]:
 
 def _npz(owner: Body | SceneObject) -> bytes:
     """The arrays of the cloud, and all others, by the names of their fields."""
-    arrays = vars(owner.cloud) | {name: value for name, value in vars(owner).items() if isinstance(value, np.ndarray)}
+    values = fields_of(owner.cloud) | fields_of(owner)
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     return buffer.getvalue()

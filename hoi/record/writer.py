@@ -9,7 +9,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from hoi.body.skeleton import JOINT_NAMES
-from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run
+from hoi.data import Array, Contact, Motion, ObjectTrajectory, Run, fields_of
 from hoi.files import whole_file
 from hoi.record.camera import Footage, poses
 from hoi.record.camera import messages as camera_messages
@@ -100,14 +100,7 @@ def _facts(run: Run) -> dict:
         "motion": None if motion is None else {"fps": motion.fps, "frames": len(motion), "dtypes": dtypes},
         "trajectory": None if trajectory is None else {"frames": len(trajectory.positions)},
         "target": state.target,
-        "contact": None
-        if search is None
-        else {
-            "contacts": len(search.contacts),
-            "smallest_gap": search.smallest_gap,
-            "smallest_gap_frame": search.smallest_gap_frame,
-            "smallest_gap_joint": search.smallest_gap_joint,
-        },
+        "contact": None if search is None else fields_of(search) | {"contacts": len(search.contacts)},
     }
 
 
@@ -119,21 +112,20 @@ def _messages(
     if footage is not None and footage.fps is not None:
         own_times = [_nanoseconds(picture, footage.fps) for picture in range(len(footage))]
         streams.append(camera_messages(footage, own_times))
-    if run.scene is None:
-        return heapq.merge(*streams, key=lambda message: message[0])
-    state, fps = run.state, run.scene.fps
-    frames = max(_frames(run), 0 if points is None else len(points))
-    times = [_nanoseconds(frame, fps) for frame in range(frames)]
-    camera_poses = None if footage is None or not footage.cameras else poses(footage.cameras)
-    streams.append(views(run, times, points, colours, object_stride, camera_poses))
-    if footage is not None and footage.fps is None:
-        streams.append(camera_messages(footage, times))
-    if state.motion is not None:
-        streams.append(_motion(state.motion, times))
-    if state.trajectory is not None:
-        streams.append(_trajectory(state.trajectory, times))
-    if state.contact is not None:
-        streams.append(_contacts(state.contact.contacts, fps))
+    if run.scene is not None:
+        state, fps = run.state, run.scene.fps
+        frames = max(_frames(run), 0 if points is None else len(points))
+        times = [_nanoseconds(frame, fps) for frame in range(frames)]
+        camera_poses = None if footage is None or not footage.cameras else poses(footage.cameras)
+        streams.append(views(run, times, points, colours, object_stride, camera_poses))
+        if footage is not None and footage.fps is None:
+            streams.append(camera_messages(footage, times))
+        if state.motion is not None:
+            streams.append(_motion(state.motion, times))
+        if state.trajectory is not None:
+            streams.append(_trajectory(state.trajectory, times))
+        if state.contact is not None:
+            streams.append(_contacts(state.contact.contacts, fps))
     return heapq.merge(*streams, key=lambda message: message[0])
 
 
@@ -163,22 +155,14 @@ def _trajectory(trajectory: ObjectTrajectory, times: list[int]) -> Iterator[Mess
             **{name: array_fields(array[frame]) for name, array in arrays.items() if array is not None},
         )
         yield time, "/object/state", message.SerializeToString(deterministic=True)
-        kinetic, elastic, potential = trajectory.energy[frame].tolist()
-        energy = {
-            "time": time / 1e9,
-            "kinetic": kinetic,
-            "elastic": elastic,
-            "potential": potential,
-            "total": kinetic + elastic + potential,
-            "speed": float(np.linalg.norm(trajectory.com_velocity[frame])),
-            "phase": phase,
-        }
-        yield time, "/object/energy", to_json(energy)
+        energies = trajectory.energy[frame].tolist()
+        kinds = dict(zip(("kinetic", "elastic", "potential"), energies, strict=True)) | {"total": sum(energies)}
+        speed = float(np.linalg.norm(trajectory.com_velocity[frame]))
+        yield time, "/object/energy", to_json({"time": time / 1e9, **kinds, "speed": speed, "phase": phase})
 
 
 def _contacts(contacts: tuple[Contact, ...], fps: float) -> Iterator[Message]:
     for contact in sorted(contacts, key=lambda contact: contact.frame):
         time = _nanoseconds(contact.frame, fps)
-        facts = {f: getattr(contact, f) for f in contact.__dataclass_fields__}
         name = JOINT_NAMES[contact.joint] if contact.joint >= 0 else ""
-        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": name, **facts})
+        yield time, "/contact", to_json({"time": time / 1e9, "joint_name": name, **fields_of(contact)})

@@ -50,6 +50,15 @@ def vertical_reach(boxes: array, i, top, tile: ti.template()):
     return ti.max(boxes[i, TOP] - top, 0), ti.min(boxes[i, BOTTOM] - top, tile - 1)
 
 
+@ti.func
+def is_full(kept: array, base, tile: ti.template()):
+    """Whether nothing more is seen through any pixel of a tile."""
+    most = kept[base]
+    for row in range(1, tile):
+        most = ti.max(most, kept[base + row])
+    return most.max() == 0.0
+
+
 @ti.kernel
 def blend_rows(
     tile: ti.template(), deep: ti.template(), exact: ti.template(), tasks: ti.i32, columns: ti.i32, tiles: ti.i32,
@@ -74,12 +83,8 @@ def blend_rows(
                     while place < stop:
                         i = members[place]
                         end, lean, rise = splats[i, END], splats[i, Q], splats[i, R]
-                        opacity, red, green, blue = (
-                            splats[i, OPACITY],
-                            splats[i, RED],
-                            splats[i, GREEN],
-                            splats[i, BLUE],
-                        )
+                        opacity, red = splats[i, OPACITY], splats[i, RED]
+                        green, blue = splats[i, GREEN], splats[i, BLUE]
                         dx = lanes(tile) + (left + 0.5 - splats[i, X])
                         along = splats[i, P] * dx
                         from_row, to_row = vertical_reach(boxes, i, top, tile)
@@ -102,10 +107,7 @@ def blend_rows(
                                 kept[at + 5 * tile] = kept[at + 5 * tile] + w * splats[i, DEPTH]
                         place += 1
                         if place % 16 == 0:
-                            most = kept[base]
-                            for row in range(1, tile):
-                                most = ti.max(most, kept[base + row])
-                            if most.max() == 0.0:
+                            if is_full(kept, base, tile):
                                 place = stop
                     for row in range(ti.min(tile, colour.shape[0] - top)):
                         at = base + row
@@ -165,12 +167,8 @@ def blend_rows_back(
                     while place < stop:
                         i, entry = members[place], entries[place]
                         end, lean, rise = splats[i, END], splats[i, Q], splats[i, R]
-                        opacity, red, green, blue = (
-                            splats[i, OPACITY],
-                            splats[i, RED],
-                            splats[i, GREEN],
-                            splats[i, BLUE],
-                        )
+                        opacity, red = splats[i, OPACITY], splats[i, RED]
+                        green, blue = splats[i, GREEN], splats[i, BLUE]
                         dx = lanes(tile) + (left + 0.5 - splats[i, X])
                         along = splats[i, P] * dx
                         to_p, to_p_dy, to_p_dyy = nothing(tile), nothing(tile), nothing(tile)
@@ -217,9 +215,6 @@ def blend_rows_back(
                         given[entry, BLUE], given[entry, DEPTH] = to_blue.sum(), to_z.sum()
                         place += 1
                         if place % 16 == 0:
-                            most = kept[base]
-                            for row in range(1, tile):
-                                most = ti.max(most, kept[base + row])
-                            if most.max() == 0.0:
+                            if is_full(kept, base, tile):
                                 place = stop
                 here = ti.atomic_add(queue[0], 1)

@@ -22,6 +22,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from hoi import record
 from hoi.data import ContactSearch, Material, Plan, Plane, Run, State
 from hoi.errors import InputError, RunError
+from hoi.gaussians import select
 from hoi.record.parts import scene_files, scene_from_files
 from hoi.record.schemas import JSON_SCHEMAS, PROTOBUF_SCHEMAS
 from hoi.render.cameras import look_at, project
@@ -88,6 +89,23 @@ class Json:
 
 def test_round_trip_is_identity(demo, path):
     same(demo[0], record.read(path))
+
+
+def test_a_person_alone_is_recorded_without_an_object(demo, tmp_path):
+    run = demo[0]
+    alone = replace(run, scene=replace(run.scene, object=None), state=State(motion=run.state.motion))
+    save(tmp_path / "run.mcap", (alone, *demo[1:]), footage=None)
+    same(alone, record.read(tmp_path / "run.mcap"))
+    assert "object.npz" not in scene_files(alone.scene)
+    with pytest.raises(ValueError, match="no trajectory"):
+        save(tmp_path / "run.mcap", (replace(alone, state=run.state), *demo[1:]), footage=None)
+
+
+def test_an_object_without_particles_is_none_as_older_records_of_a_person_have_it(demo):
+    thing = demo[0].scene.object
+    none = {name: getattr(thing, name)[:0] for name in ("particles", "volumes")}
+    scene = replace(demo[0].scene, object=replace(thing, cloud=select(thing.cloud, np.arange(0)), **none))
+    assert scene_from_files(scene_files(scene)).object is None
 
 
 def variants(run: Run) -> dict[str, Run]:
