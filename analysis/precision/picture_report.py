@@ -16,6 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from analysis.precision.pictures import COVERED, REFERENCE_SHARE, View
 from analysis.precision.report import GRID, INK, MUTED, markdown_list, markdown_table
+from hoi.compute import compiler
 from hoi.render.splats import Picture
 
 KINDS = {
@@ -131,7 +132,7 @@ def draw(
     figure.text(0.01, 1 - 0.1 / height, TITLE, fontsize=15, color=INK, va="top")
     commit, _, dirty = noted["commit"].partition("+")
     threads = "1 thread" if noted["threads"] == "1" else f"{noted['threads']} threads"
-    machine = f"{noted['machine']}; {threads}; taichi {noted['taichi']}; commit {commit[:14]} {dirty}"
+    machine = f"{noted['machine']}; {threads}; {compiler()} {noted[compiler()]}; commit {commit[:14]} {dirty}"
     figure.text(0.01, 1 - 0.45 / height, machine, fontsize=9, color=MUTED, va="top")
     figure.tight_layout(rect=(0, 0.4 / height, 1, 1 - 0.7 / height), h_pad=2.0, w_pad=2.0)
     figure.savefig(path)

@@ -19,6 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from analysis.precision.convergence import Order
 from analysis.precision.problems import Problem
 from analysis.precision.run import STAND_INS
+from hoi.compute import compiler
 from hoi.runner.provenance import git_state
 
 INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
@@ -47,7 +48,7 @@ def facts(threads: int) -> dict[str, str]:
         "machine": f"{_processor()}, {os.cpu_count()} cores, {platform.system()}",
         "threads": str(threads),
         "python": platform.python_version(),
-        **{name: version(name) for name in ("hoi", "taichi", "numpy")},
+        **{name: version(name) for name in ("hoi", compiler(), "numpy")},
         "commit": git_state() or "not a checkout",
     }
 
@@ -152,7 +153,7 @@ def draw(problems: Sequence[Problem], table: pd.DataFrame, noted: dict[str, str]
     figure.text(0.01, 1 - 0.1 / height, title, fontsize=15, color=INK, va="top")
     commit, _, dirty = noted["commit"].partition("+")
     threads = "1 thread" if noted["threads"] == "1" else f"{noted['threads']} threads"
-    under = f"{noted['machine']}; {threads}; taichi {noted['taichi']}; commit {commit[:14]} {dirty}"
+    under = f"{noted['machine']}; {threads}; {compiler()} {noted[compiler()]}; commit {commit[:14]} {dirty}"
     figure.text(0.01, 1 - 0.45 / height, under, fontsize=9, color=MUTED, va="top")
     figure.tight_layout(rect=(0, 0.65 / height, 1, 1 - 0.6 / height), h_pad=2.0)
     figure.savefig(path)
