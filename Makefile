@@ -1,6 +1,6 @@
 # Two targets are all a newcomer needs: `make run` and `make test`. Each sets up .venv once.
-PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
-	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
+PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11 python3.14; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 EXTRAS ?= dev,video,cluster,view,docs
 BIN := .venv/bin
 READY := .venv/.ready
@@ -11,7 +11,7 @@ help:  ## list the targets
 setup: $(READY)  ## make .venv with the locked dependencies
 
 $(READY): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 to 3.13 (what taichi has wheels for); found none of them" \
+	@test -n "$(PYTHON)" || { echo "hoi needs Python 3.11 or newer; found none" \
 		"(python3 is $$(python3 --version 2>&1)). Install one, or name it: make setup PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from hoi.compute import compiler
+
 INK, MUTED, GRID = "#22262b", "#7a828c", "#e3e6ea"
 
 
@@ -18,7 +20,7 @@ def heading(figure: Figure, title: str, noted: Mapping[str, str], height: float)
     """Title and, under it, where it was measured, in a figure so high [inch]; `noted` as `analysis.sheets.facts`."""
     commit, _, dirty = noted["commit"].partition("+")
     threads = "1 thread" if noted["threads"] == "1" else f"{noted['threads']} threads"
-    machine = f"{noted['machine']}; {threads}; taichi {noted['taichi']}; commit {commit[:14]} {dirty}"
+    machine = f"{noted['machine']}; {threads}; {compiler()} {noted[compiler()]}; commit {commit[:14]} {dirty}"
     figure.text(0.01, 1 - 0.1 / height, title, fontsize=15, color=INK, va="top")
     figure.text(0.01, 1 - 0.45 / height, machine, fontsize=9, color=MUTED, va="top")
 

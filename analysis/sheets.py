@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hoi.compute import compiler
 from hoi.runner.provenance import git_state
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ def facts(threads: int) -> dict[str, str]:
         "machine": f"{_processor()}, {os.cpu_count()} cores, {platform.system()}",
         "threads": str(threads),
         "python": platform.python_version(),
-        **{name: version(name) for name in ("hoi", "taichi", "numpy")},
+        **{name: version(name) for name in ("hoi", compiler(), "numpy")},
         "commit": git_state() or "not a checkout",
     }
 

@@ -254,7 +254,7 @@ class ObjectState:
     elastic: Array | None = None
     """F_E [-], shape (P, 3, 3), where it is not `deformation_gradient`: metal, clay, foam, snow."""
     hardening: Array | None = None
-    """What the flow has left behind in each particle [-], shape (P,); see `hoi.mpm.materials`."""
+    """What the flow has left behind in each particle [-], shape (P,); see `hoi.mpm.laws`."""
 
 
 @dataclass(frozen=True)

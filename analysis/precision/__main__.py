@@ -17,8 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from .. import command, sheets
 from hoi.errors import InputError
+
+from .. import command, sheets
 
 if TYPE_CHECKING:
     from .pictures import View

@@ -80,7 +80,7 @@ class ObjectConf:
 
 @dataclass
 class MaterialConf:
-    """See `hoi.data.Material`. What has a value here is for some models only; `hoi.mpm.materials` says for which."""
+    """See `hoi.data.Material`. What has a value here is for some models only; `hoi.mpm.laws` says for which."""
 
     name: str = MISSING
     """What plan and record call it."""

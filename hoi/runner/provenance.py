@@ -12,9 +12,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from hoi.compute import compiler
 from hoi.config import Config
 
-PACKAGES = ("hoi", "torch", "taichi", "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
 NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
 """Keys that do not change what is computed (of `seeds`: but for rounding)."""
 
@@ -44,7 +44,8 @@ def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> di
         "threads": str(config.threads or os.cpu_count()),
         "device": config.device.value,
     }
-    facts.update({f"version.{name}": version(name) for name in PACKAGES})
+    packages = ("hoi", "torch", compiler(), "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
+    facts.update({f"version.{name}": version(name) for name in packages})
     human, skinning = config.human.path, config.human.skinning
     if human is not None and Path(human).is_dir():  # an avatar's folder
         human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from demo_run import cloud_of
+from hoi.method.scene import load_object
 from omegaconf import DictConfig
 
 from hoi import gaussians
@@ -19,7 +20,6 @@ from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.importers.physgaussian.reader import read_scene_file
 from hoi.importers.scene import Imported, convert, parser, run
-from hoi.method.scene import load_object
 from hoi.mpm.materials import kirchhoff_stress, return_map
 from hoi.plan import make_plan, material_of
 

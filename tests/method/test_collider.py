@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hoi.method.limb_collider import limb_collider, outside, spacing
 
 from hoi.body.capsules import Capsules, carry, fit_capsule, fit_capsules, surface_distance
 from hoi.body.people import load_person
@@ -15,7 +16,6 @@ from hoi.errors import InputError, RunError
 from hoi.gaussians import fibonacci_sphere
 from hoi.method import movers
 from hoi.method.contact import find_contact
-from hoi.method.limb_collider import limb_collider, outside, spacing
 from hoi.mpm.collider import Collider
 from hoi.mpm.solver import Simulation, ground_plane
 from hoi.mpm.state import initial_state

@@ -6,6 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hoi.method.coordination import BACK_STEP, REACHED, approach, coordinate, find_target, meet
+from hoi.method.scene import build_scene, is_apart
+from hoi.method.synthesis import load_distillation, sample_motions, synthesise
+from hoi.runner.pipeline import outcome
 
 from hoi.body.skinning import joint_paths, stand_motion
 from hoi.config import HMSDConf
@@ -14,10 +18,6 @@ from hoi.data import Motion, State, Target
 from hoi.errors import InputError, RunError
 from hoi.method import movers
 from hoi.method.approach import shifted
-from hoi.method.coordination import BACK_STEP, REACHED, approach, coordinate, find_target, meet
-from hoi.method.scene import build_scene, is_apart
-from hoi.method.synthesis import load_distillation, sample_motions, synthesise
-from hoi.runner.pipeline import outcome
 from hoi.runner.progress import Stage
 
 SMALL = ("human.gaussians=2000", "object.max_gaussians=1500", "stage/object=mpm_coarse", "render=none")

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-
 from hoi.method.footing import FEET, Footing, Stance, slide, stances, sunk
 
 FPS = 20.0

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hoi.method.scene import build_scene
 
 from hoi.config.validate import to_config
 from hoi.data import Contact
 from hoi.errors import RunError
 from hoi.method import movers
-from hoi.method.scene import build_scene
 from hoi.plan import make_plan
 from hoi.record import read
 from hoi.runner import pipeline

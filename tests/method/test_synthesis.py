@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hoi.method.scene import build_scene
+from hoi.method.synthesis import load_distillation, sample_motions
 
 from hoi.body.skinning import joint_paths, posed_means
 from hoi.config import HMSDConf
 from hoi.config.validate import to_config
 from hoi.errors import RunError
-from hoi.method.scene import build_scene
-from hoi.method.synthesis import load_distillation, sample_motions
 from hoi.streams import stream_seed
 
 

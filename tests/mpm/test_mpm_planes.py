@@ -91,9 +91,10 @@ def test_nothing_passes_a_corner():
 @pytest.mark.parametrize("friction", [0.2, 0.8])
 def test_a_box_slides_down_a_slope_of_the_config(composed, friction):
     """From scene.planes to the object's trajectory: at 30 degrees 0.2 lets it slide and 0.8 does not."""
-    from hoi.config.validate import to_config
     from hoi.method.movers import free_motion, mover
     from hoi.method.scene import build_scene
+
+    from hoi.config.validate import to_config
     from hoi.runner.progress import Stages
 
     axes, point = tilt(30), np.array([0, 2.0, 1.0])

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hoi.method.refine_stage import contact_window, refine
+from hoi.runner.pipeline import outcome
 
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_paths
@@ -12,12 +14,10 @@ from hoi.config import Config, GeometricConf, WindowConf
 from hoi.config.validate import to_config
 from hoi.data import ContactSearch
 from hoi.errors import RefineStopped
-from hoi.method.refine_stage import contact_window, refine
 from hoi.refine.fidelity import instants
 from hoi.refine.geometric import Geometry, minimise
 from hoi.refine.meeting import meet
 from hoi.refine.window import WindowedPose
-from hoi.runner.pipeline import outcome
 from hoi.runner.progress import Stage, Stages
 from tests.refine_scenes import FOOT, HIT, struck
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hoi.method.refine_stage import contact_window, refine
 from refine_scenes import FRAMES, HIT, struck
 
 from hoi.config.validate import to_config
 from hoi.data import Motion
-from hoi.method.refine_stage import contact_window, refine
 from hoi.refine.clip import Clip, chosen, moved_by
 from hoi.refine.silhouettes import coverage, silhouettes
 from hoi.refine.views import Framing, viewpoint
