@@ -2,7 +2,7 @@
 
 Whoever finds a value wrong names the field alone, whoever opened the config for it adds the key:
 
-    with under("stage.motion"):
+    with under("stage.motion", "start_time", "up"):
         read_motion(path, body, frames, fps, start_time=conf.start_time)  # start_time must be in [0, 2] s, got 3
     # stage.motion.start_time must be in [0, 2] s, got 3
 """

@@ -27,6 +27,10 @@ def test_the_key_is_put_before_the_field() -> None:
         ("up: cannot tell; say up=y or z", "a.b.up: cannot tell; say a.b.up=y or z"),
         ("checkpoint: none; checkpoint=null takes ours", "a.b.checkpoint: none; a.b.checkpoint=null takes ours"),
         ("width 7: none; stage/refine=none", "a.b.width 7: none; stage/refine=none"),
+        (
+            "prior=x takes 3 GB; set offload=true or lower width",
+            "a.b.prior=x takes 3 GB; set a.b.offload=true or lower width",
+        ),
         ("path: no file runs/seed=0/x", "a.b.path: no file runs/seed=0/x"),
     ],
 )
