@@ -31,7 +31,8 @@ from .learned.sidecar import SCORES, read_scores, sidecar_path
 if TYPE_CHECKING:
     import pandas as pd
 
-T, R = TypeVar("T"), TypeVar("R")
+T = TypeVar("T")
+R = TypeVar("R")
 KEYS = ["scene", "experiment", "variant"]
 FACTS = [*KEYS, "seed", "status", "reason", "path", "config_hash"]
 DONE, FAILED, UNREADABLE = "done", "failed", "unreadable"
