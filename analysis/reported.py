@@ -7,12 +7,9 @@ scene on one H200, of which Video-SDS takes about an hour).
 
 import pandas as pd
 
-QUESTIONS = {
-    "q1": "Q1 physical plausibility",
-    "q2": "Q2 contact quality",
-    "q3": "Q3 motion naturalness",
-    "q4": "Q4 photorealism",
-}
+from .study import questions
+
+QUESTIONS = {question.key.lower(): f"{question.key} {question.title.lower()}" for question in questions.QUESTIONS}
 """The user study's questions, mean opinion scores from 1 to 5; higher is better."""
 
 _COLUMNS = ("table", "method", "variant", "vqa_yes", "viclip", *QUESTIONS)

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from hoi.errors import InputError
 
@@ -31,6 +31,8 @@ from .learned.sidecar import SCORES, read_scores, sidecar_path
 if TYPE_CHECKING:
     import pandas as pd
 
+T = TypeVar("T")
+R = TypeVar("R")
 KEYS = ["scene", "experiment", "variant"]
 FACTS = [*KEYS, "seed", "status", "reason", "path", "config_hash"]
 DONE, FAILED, UNREADABLE = "done", "failed", "unreadable"
@@ -62,16 +64,19 @@ def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
     files = find(folder)
     if not files:
         raise InputError(f"{folder}: no run.mcap below it")
-    read = partial(_row, folder)
-    if jobs > 1 and len(files) >= TOGETHER:
-        with ProcessPoolExecutor(jobs) as pool:
-            rows = list(pool.map(read, files, chunksize=2))
-    else:
-        rows = [read(file) for file in files]
+    rows = each(partial(_row, folder), files, jobs)
     places = [(str(Path(str(row["path"])).parent), row["config_hash"]) for row in rows]
     done = {place for row, place in zip(rows, places, strict=True) if row["status"] == DONE}
     kept = [row for row, place in zip(rows, places, strict=True) if row["status"] != FAILED or place not in done]
     return pd.DataFrame(kept, columns=[*FACTS, *METRICS, *SCORES, "warning"])
+
+
+def each(read: Callable[[T], R], items: Sequence[T], jobs: int) -> list[R]:
+    """What `read` makes of each, in order, by so many processes where that is worth it."""
+    if jobs > 1 and len(items) >= TOGETHER:
+        with ProcessPoolExecutor(jobs) as pool:
+            return list(pool.map(read, items, chunksize=2))
+    return [read(item) for item in items]
 
 
 def summarise(runs: pd.DataFrame, by: Sequence[str] = ()) -> pd.DataFrame:

@@ -1,5 +1,6 @@
 """Tables as files: CSV for machines; Markdown, LaTeX and HTML for people, by topic, with pandas and its Styler."""
 
+import html
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -56,8 +57,8 @@ def write_tables(
     problems = [f"{plain(row['path'])} failed: {plain(row['reason'])}" for row in facts if row["status"] == "failed"]
     problems += [plain(row["reason"]) for row in facts if row["status"] == "unreadable"]
     texts = {
-        "runs.csv": _csv(runs),
-        "table.csv": _csv(summary.assign(variant=summary["variant"].replace("", UNREADABLE))),
+        "runs.csv": to_csv(runs),
+        "table.csv": to_csv(summary.assign(variant=summary["variant"].replace("", UNREADABLE))),
         "table.md": _markdown(tables, problems),
         "table.tex": _latex(tables),
         "table.html": _html(tables, problems),
@@ -140,7 +141,7 @@ def plain(text: object) -> str:
     return line if len(line) <= 200 else f"{line[:199]}…"
 
 
-def _csv(table: pd.DataFrame) -> str:
+def to_csv(table: pd.DataFrame) -> str:
     """Six digits; no text that a spreadsheet would run."""
     texts = [name for name in table if not pd.api.types.is_numeric_dtype(table[name])]
     safe = table.assign(**{name: table[name].map(_no_formula, na_action="ignore") for name in texts})
@@ -152,22 +153,22 @@ def _no_formula(text: object) -> object:
 
 
 def _markdown(tables: list[Shown], problems: list[str]) -> str:
-    def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(cells)} |"
-
     parts = ["# The runs, in tables", SPREAD]
     for table in tables:
-        lines = [line([_md(cell) for cell in table.head]), line(["---"] * len(table.head))]
-        lines += [line([_md(cell) for cell in row]) for row in table.rows]
-        parts += [f"## {table.title}", "\n".join(lines), *table.notes]
+        lines = markdown_table(*([as_markdown(cell) for cell in cells] for cells in (table.head, *table.rows)))
+        parts += [f"## {table.title}", lines, *table.notes]
     if problems:
-        parts += ["## Failed and unreadable", "\n".join(f"- {_md(problem)}" for problem in problems)]
+        parts += ["## Failed and unreadable", "\n".join(f"- {as_markdown(problem)}" for problem in problems)]
     return "\n\n".join(parts) + "\n"
 
 
-def _md(text: str) -> str:
-    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return "".join(f"\\{letter}" if letter in "\\`*_[]|" else letter for letter in text)
+def markdown_table(head: Sequence[str], *rows: Sequence[str]) -> str:
+    """Lines of cells that are escaped already."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def as_markdown(text: str, marks: str = "\\`*_[]|") -> str:
+    return "".join(f"\\{letter}" if letter in marks else letter for letter in html.escape(text, quote=False))
 
 
 def _frame(table: Shown, escape: Callable[[str], str]) -> pd.DataFrame:
@@ -191,15 +192,15 @@ def _latex(tables: list[Shown]) -> str:
     return "\n".join(parts)
 
 
-_TEX = {
+_TEX = str.maketrans({
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "↓": r"$\downarrow$", "↑": r"$\uparrow$",
     "|": r"\textbar{}", "<": r"\textless{}", ">": r"\textgreater{}", "…": r"\ldots{}",
-}  # fmt: skip
+})  # fmt: skip
 
 
 def _tex(text: str) -> str:
-    return "".join(_TEX.get(letter, letter) for letter in text)
+    return text.translate(_TEX)
 
 
 _PAGE = """<!DOCTYPE html>
@@ -230,4 +231,4 @@ def _html(tables: list[Shown], problems: list[str]) -> str:
 
 
 def _ht(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
+    return html.escape(text, quote=False).replace('"', "&quot;")

@@ -7,6 +7,8 @@ from scipy.spatial import KDTree
 from hoi.data import Array, Contact, ContactSearch
 from hoi.method.contact import impulse
 
+from ..posing import interpolate
+
 Rows = NDArray[np.integer]
 
 UNKNOWN = -1
@@ -30,7 +32,7 @@ def find_contact(
     contacts: list[Contact] = []
     touched = False
     for frame in _tests(skin, surface, distance):
-        limb, thing = _at(skin, frame), _at(surface, frame)
+        limb, thing = interpolate(skin, frame), interpolate(surface, frame)
         low, high = thing.min(axis=0) - distance, thing.max(axis=0) + distance
         near = np.flatnonzero(np.all((limb >= low) & (limb <= high), axis=1))
         rows = near if len(near) else np.arange(len(limb))
@@ -55,10 +57,10 @@ def _contact(
     back = min(1.0, frame)
     v_human = v_object = np.zeros(3)
     if back > 0:
-        v_human = ((_at(skin, frame) - _at(skin, frame - back))[rows] * (fps / back)).mean(axis=0)
-        v_object = (_at(com, frame) - _at(com, frame - back)) * (fps / back)
+        v_human = ((interpolate(skin, frame) - interpolate(skin, frame - back))[rows] * (fps / back)).mean(axis=0)
+        v_object = (interpolate(com, frame) - interpolate(com, frame - back)) * (fps / back)
     point = points.mean(axis=0)
-    normal = _at(com, frame) - point
+    normal = interpolate(com, frame) - point
     normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
     v_in, v_post = impulse(v_human, v_object, normal, restitution)
     return {
@@ -91,13 +93,6 @@ def _tests(skin: Array, surface: Array, distance: float) -> list[float]:
             times += [frame + step / tests for step in range(1, tests)]
         times.append(float(frame + 1))
     return times
-
-
-def _at(over_frames: Array, frame: float) -> Array:
-    """Linear interpolation of (T, ...) at a fractional frame."""
-    first = min(int(frame), len(over_frames) - 1)
-    second = min(first + 1, len(over_frames) - 1)
-    return over_frames[first] + (frame - first) * (over_frames[second] - over_frames[first])
 
 
 def centre_of_mass_path(vertices: Array, faces: Rows, areas: Array) -> Array:

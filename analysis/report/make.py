@@ -1,6 +1,5 @@
 """From a folder of runs to the page."""
 
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -8,7 +7,7 @@ from hoi.errors import InputError
 from hoi.files import whole_file
 
 from ..study.opinions import read_opinions
-from ..table import TOGETHER, UNREADABLE, collect
+from ..table import UNREADABLE, collect, each
 from .extras import read_extra
 from .page import build
 from .shown import Shown, look
@@ -35,12 +34,7 @@ def make(
     runs = collect(folder, jobs)
     opinions = None if study is None else read_opinions(study / "study.csv")
     rows = runs.to_dict("records")
-    looks = partial(_look, folder)
-    if jobs > 1 and len(rows) >= TOGETHER:
-        with ProcessPoolExecutor(jobs) as pool:
-            shown = list(pool.map(looks, enumerate(rows, 1), chunksize=2))
-    else:
-        shown = [looks(numbered) for numbered in enumerate(rows, 1)]
+    shown = each(partial(_look, folder), list(enumerate(rows, 1)), jobs)
     extras = [
         read_extra("precision", "Precision against run time", "make precision", folder / "precision"),
         read_extra("stability", "Stability", "make stability", folder / "stability"),

@@ -1,6 +1,5 @@
 """Recorded runs -> a page on which people rate their videos blindly, and the key that says which video is whose."""
 
-import base64
 import hashlib
 import html
 import json
@@ -17,6 +16,7 @@ from pathlib import Path
 from hoi.errors import InputError
 from hoi.record import read_metadata
 
+from ..report.media import data_uri
 from .questions import CODE, COLUMNS, QUESTIONS, SCALE
 from .videos import anonymise
 
@@ -116,7 +116,10 @@ def _build(named: dict[str, Clip], seed: int, out: Path, key: Path, folder: Path
         anonymise(clip.video, files[name])
     digests = {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
     study = hashlib.sha256(json.dumps([seed, digests, [asdict(q) for q in QUESTIONS]]).encode()).hexdigest()[:12]
-    sources = {name: _inline(file) if single else f"videos/{file.name}" for name, file in files.items()}
+    sources = {
+        name: data_uri("video/mp4", file.read_bytes()) if single else f"videos/{file.name}"
+        for name, file in files.items()
+    }
     (page / "index.html").write_text(_page(study, sources), encoding="utf-8")
     videos = {
         name: {label: getattr(clip, label) for label in LABELS} | {"video": str(clip.video), "sha256": digests[name]}
@@ -154,7 +157,3 @@ def _page(study: str, sources: dict[str, str]) -> str:
     for place, content in parts.items():
         text = text.replace(place, content)
     return text
-
-
-def _inline(video: Path) -> str:
-    return "data:video/mp4;base64," + base64.b64encode(video.read_bytes()).decode()

@@ -1,7 +1,6 @@
 """Answers -> mean opinion scores with intervals, and how far the raters agree."""
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from hoi.data import Array
 from hoi.errors import InputError
 from hoi.files import whole_file
 
+from ..writers import as_markdown, markdown_table, to_csv
 from .agreement import alpha
 from .answers import RATINGS, Key
 from .questions import QUESTIONS, SCALE
@@ -70,19 +70,23 @@ def rater_agreement(answers: pd.DataFrame) -> pd.DataFrame:
 
 def to_markdown(scores: pd.DataFrame, agreement: pd.DataFrame) -> str:
     """Both tables, for people."""
-    head = ["experiment", "variant", "videos", "raters", "ratings", *RATINGS]
-    lines = ["# User study", "", _line(head), _line("---" for _ in head)]
-    for row in scores.to_dict("records"):
-        cells = [_cell(str(row["experiment"])), _cell(str(row["variant"]))]
-        cells += [str(row[name]) for name in ("videos", "raters", "ratings")]
-        cells += [_mos(row[q], row[f"{q}_low"], row[f"{q}_high"]) for q in RATINGS]
-        lines.append(_line(cells))
-    lines += ["", _line(["question", "alpha (ordinal)", "alpha (interval)"]), _line(["---"] * 3)]
-    for row in agreement.to_dict("records"):
-        lines.append(
-            _line([f"{row['question']} {row['title']}", _number(row["alpha_ordinal"]), _number(row["alpha_interval"])])
-        )
-    return "\n".join([*lines, "", METHOD, ""])
+    rows = [
+        [
+            *(_cell(row[name]) for name in ("experiment", "variant")),
+            *(str(row[name]) for name in ("videos", "raters", "ratings")),
+            *(_mos(row[q], row[f"{q}_low"], row[f"{q}_high"]) for q in RATINGS),
+        ]
+        for row in scores.to_dict("records")
+    ]
+    agreed = [
+        [f"{row['question']} {row['title']}", *(_number(row[f"alpha_{level}"]) for level in ("ordinal", "interval"))]
+        for row in agreement.to_dict("records")
+    ]
+    tables = [
+        markdown_table(["experiment", "variant", "videos", "raters", "ratings", *RATINGS], *rows),
+        markdown_table(["question", "alpha (ordinal)", "alpha (interval)"], *agreed),
+    ]
+    return "\n\n".join(["# User study", *tables, METHOD]) + "\n"
 
 
 def write(scores: pd.DataFrame, agreement: pd.DataFrame, folder: Path) -> list[Path]:
@@ -95,12 +99,8 @@ def write(scores: pd.DataFrame, agreement: pd.DataFrame, folder: Path) -> list[P
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}") from error
-    safe = scores.assign(**{name: scores[name].map(_no_formula) for name in ("experiment", "variant")})
-    texts = {
-        "study.csv": safe.to_csv(index=False, float_format="%.6g", lineterminator="\n"),
-        "study_agreement.csv": agreement.to_csv(index=False, float_format="%.6g", lineterminator="\n"),
-        "study.md": to_markdown(scores, agreement),
-    }
+    markdown = to_markdown(scores, agreement)
+    texts = {"study.csv": to_csv(scores), "study_agreement.csv": to_csv(agreement), "study.md": markdown}
     for name, text in texts.items():
         with whole_file(folder / name) as part:
             part.write_text(text, encoding="utf-8")
@@ -116,19 +116,9 @@ def _place(variant: str) -> tuple[int, int, str]:
     return (known.index(variant), 0, "") if len(parts) == 1 else (len(known), len(parts), variant)
 
 
-def _no_formula(text: str) -> str:
-    """A name that a spreadsheet will not run."""
-    return "'" + text if text.startswith(("=", "+", "-", "@", "\t", "\r", "\n")) else text
-
-
-def _cell(text: str) -> str:
+def _cell(name: object) -> str:
     """A name that is neither Markdown nor HTML."""
-    text = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return "".join("\\" + letter if letter in "\\`*[]|!" else letter for letter in text)
-
-
-def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    return as_markdown(" ".join(str(name).split()), "\\`*[]|!")
 
 
 def _number(value: float) -> str:
