@@ -164,7 +164,7 @@ def render(
     """Gaussians as a picture: RGB in [0, 1], (height, width, 3).
 
     Args:
-        camera: None looks at all of it, 720 by 480 pixels (see `hoi.render.cameras` for others).
+        camera: None looks at all of it from its front and side, 720 by 480 pixels (see `hoi.render.cameras` for others).
         background: a grey or a colour in [0, 1].
         sh_degree: highest degree of the harmonics; None is all.
 
@@ -174,14 +174,14 @@ def render(
     import torch
 
     from hoi.data import GaussianCloud
-    from hoi.render.cameras import HEIGHT, WIDTH, circle
+    from hoi.render.cameras import VIEWS, frame_action
     from hoi.render.rasterise import rasterise
     from hoi.render.splats import from_cloud, join
 
     clouds = [cloud] if isinstance(cloud, GaussianCloud) else list(cloud)
     if camera is None:
         points = np.concatenate([each.means for each in clouds])
-        (camera,) = circle(points, 1, width=WIDTH, height=HEIGHT)
+        camera = frame_action(points, VIEWS["three_quarter"])
     colour = (background,) * 3 if isinstance(background, float | int) else tuple(background)
     splats = join([from_cloud(each, device=device) for each in clouds])
     with torch.no_grad():
