@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 import torch
+from hoi.runner.progress import Stages
 
 from analysis.metrics import METRICS
 from analysis.records import load
@@ -20,7 +21,6 @@ from hoi.plan import make_plan
 from hoi.record import message_digest, read, video
 from hoi.render.cameras import project
 from hoi.runner import pipeline
-from hoi.runner.progress import Stages
 
 SMOKE = ["experiment=smoke"]
 TINY_VIDEO = ["render=video", "render.width=96", "render.height=64"]
@@ -330,7 +330,7 @@ def test_what_libraries_make_of_an_interrupt_does_not_matter(then):
     """Some swallow it while they are imported, some make an error of it."""
     code = f"""
 import os, signal, sys, time
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.interrupt import interruptible
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with interruptible():
     try:

@@ -242,7 +242,7 @@ def test_an_interrupt_that_is_swallowed_leaves_no_lock(tmp_path):
     code = """
 import os, signal, time
 from pathlib import Path
-from hoi.runner import interrupt
+from hoi.terminal import interrupt
 from hoi.runner.execute import alone
 interrupt.GRACE = 0.1
 signal.signal(signal.SIGINT, signal.default_int_handler)
