@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.conftest import ROOT, listed_slow
+
 COMPILERS = {"taichi", "quadrants"}
 ROOMS = """
     hoi errors streams callable
@@ -167,3 +168,10 @@ def test_the_options_of_all_stages_load_nothing_heavy() -> None:
     loaded = loaded_by("import hoi.stages\nassert len(hoi.stages.options()) > 10")
     assert "hoi" in loaded
     assert not loaded & {"torch", *COMPILERS, "scipy", "mcap", "av", "transformers", "trimesh", "pandas", "matplotlib"}
+
+
+def test_the_slow_tests_are_there() -> None:
+    """`slow.txt` names no test that has been renamed."""
+    for file, names in listed_slow().items():
+        tree = ast.parse((ROOT / "tests" / file).read_text())
+        assert names <= {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, file

@@ -214,7 +214,6 @@ def test_a_path_with_spaces_can_be_pasted():
     assert what_next([Path("my runs/run.mcap")]).startswith("next: hoi view 'my runs/run.mcap' ")
 
 
-@pytest.mark.slow
 def test_no_library_warns_on_the_screen(done):
     folder, result = done
     commands = [["video", "here/run.mcap", "-o", "side.mp4", "--view", "side"], ["strip", "here/run.mcap"]]
