@@ -21,9 +21,9 @@ from hoi.plan import make_plan
 from hoi.reports import Stages
 from hoi.runner.execute import RECORD, already_there
 from hoi.runner.jobs import outcome, peak_memory_mb, pick_device, record, torch_threads
-from hoi.runner.progress import bar
 from hoi.runner.provenance import provenance
 from hoi.runner.scene import build_scene
+from hoi.terminal.progress import bar
 
 from .clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
 from .replay import replayed

@@ -17,8 +17,8 @@ from typing import get_args
 from hoi.errors import InputError, RunError
 from hoi.render import Backend
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 CHOICES = (*VIEWS, "turntable", "all")
 
@@ -91,7 +91,7 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     from hoi.files import whole_file
     from hoi.render import panels as side_by_side
-    from hoi.runner.progress import bar
+    from hoi.terminal.progress import bar
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")

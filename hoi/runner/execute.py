@@ -18,8 +18,8 @@ from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
 from hoi.reports import no_bar
-from hoi.runner.interrupt import gone_when_left
 from hoi.stages.render.none import NoVideo
+from hoi.terminal.interrupt import gone_when_left
 
 RECORD, FAILED, LOCK = "run.mcap", "run.failed.mcap", ".lock"
 
@@ -61,7 +61,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
         if not to_do:
             return records
         from hoi.runner.jobs import Job, run
-        from hoi.runner.progress import bar
+        from hoi.terminal.progress import bar
 
         jobs = [Job(*each) for each in to_do]
         run(jobs, plan, bar)
@@ -75,9 +75,9 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
 def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progress: bool) -> Run:
     """One run from Python; see `hoi.api.run`."""
     from hoi.runner.jobs import Job, run
-    from hoi.runner.progress import bar
     from hoi.runner.provenance import provenance
     from hoi.runner.scene import load_object
+    from hoi.terminal.progress import bar
 
     if config.seeds != 1:
         raise InputError("seeds", config.seeds, "1: call once a seed")

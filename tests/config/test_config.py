@@ -130,6 +130,8 @@ def test_bad_values_are_named(composed, overrides, message):
         ("scene.frame=3", ["frame", "scene"]),
         ("material.youngs_modulus=stiff", ["youngs_modulus", "stiff"]),
         ("stage.motion.iterations=1.5", ["iterations", "1.5"]),
+        ("stage.object.kind=constant_velocity", ["kind", "stage.object"]),
+        ("stage.contact.model=collider", ["model", "stage.contact"]),
         ("render=film", ["render", "film", "video"]),
         ("render.view=left", ["view", "left", "three_quarter"]),
         ("render.backend=cuda", ["backend", "cuda", "taichi"]),

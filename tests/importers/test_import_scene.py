@@ -62,7 +62,7 @@ def block(tmp_path: Path) -> Path:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     shell = ((points == points.min(0)) | (points == points.max(0))).any(1)
     path = tmp_path / "block.ply"
-    gaussians.write_ply(cloud_of(points[shell] + [5, -3, 2], np.full((shell.sum(), 3), 0.5), 0.03), path)
+    gaussians.write_ply(cloud_of(points[shell] + [5, -3, 2], 0.03), path)
     return path
 
 

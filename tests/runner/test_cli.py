@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 import torch
+from hoi.runner.progress import Stages
 
 from analysis.metrics import METRICS
 from analysis.records import load
@@ -329,7 +330,7 @@ def test_what_libraries_make_of_an_interrupt_does_not_matter(then):
     """Some swallow it while they are imported, some make an error of it."""
     code = f"""
 import os, signal, sys, time
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.interrupt import interruptible
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with interruptible():
     try:
