@@ -171,7 +171,7 @@ def render(
     """Gaussians as a picture: RGB in [0, 1], (height, width, 3).
 
     Args:
-        camera: None looks at all of it from its front and side, 720 by 480 pixels (see `hoi.render.cameras` for others).
+        camera: None looks at all of it from its front and side, 720 by 480 pixels; `hoi.render.cameras` has others.
         background: a grey or a colour in [0, 1].
         sh_degree: highest degree of the harmonics; None is all.
 

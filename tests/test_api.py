@@ -12,7 +12,7 @@ import torch
 
 import hoi
 from hoi.data import Material
-from hoi.gaussians import fibonacci_sphere, sh_from_colours, transform
+from hoi.gaussians import fibonacci_sphere, select, sh_from_colours, transform
 from hoi.objects.shapes import SHAPES, build
 from hoi.record import message_digest
 from tests.conftest import ROOT
@@ -219,15 +219,16 @@ def test_a_ball_in_free_fall_is_on_a_parabola():
 
 
 def test_it_comes_to_rest_on_the_ground():
-    moved = hoi.simulate(at(ball(), [0, 0, 0.5]), "foam", 3.0, fps=10, cells_across=6)
-    assert {"flight", "mpm", "rest"} >= set(moved.phase) and moved.phase[0] == "flight" and moved.phase[-1] == "rest"
-    assert np.linalg.norm(moved.com_velocity[-1]) < 1e-6 and moved.positions[-1, :, 2].min() > -0.03
-    assert 0.05 < moved.com[-1, 2] < 0.11
+    moved = hoi.simulate(at(ball(count=500), [0, 0, 0.5]), "clay", 1.6, fps=10, cells_across=6)
+    assert list(dict.fromkeys(moved.phase)) == ["flight", "mpm", "rest"], "the phases of a run"
+    assert np.linalg.norm(moved.com_velocity[-1]) == 0 and moved.positions[-1, :, 2].min() > -0.03
+    assert 0.03 < moved.com[-1, 2] < 0.1
 
 
 def test_it_takes_a_material_a_spin_and_other_planes():
+    spinning = {"planes": (), "gravity": [0, 0, 0], "angular_velocity": [0, 0, 5]}
     soft = Material("soft", "neo_hookean", 1e5, 0.3, 300.0, restitution=0.5, ground_friction=0.5)
-    moved = hoi.simulate(at(ball(), [0, 0, 0.2]), soft, 0.2, planes=(), gravity=[0, 0, 0], angular_velocity=[0, 0, 5], cells_across=6)
+    moved = hoi.simulate(at(ball(), [0, 0, 0.2]), soft, 0.2, **spinning, cells_across=6)
     np.testing.assert_allclose(moved.com, moved.com[:1].repeat(len(moved.com), 0), atol=1e-6)
     turned = moved.positions[-1] - moved.com[-1]
     start = moved.positions[0] - moved.com[0]
@@ -247,7 +248,10 @@ def test_it_takes_a_material_a_spin_and_other_planes():
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", device="tpu"), "device"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", gravity=[0, -9.81]), "gravity"),
         (lambda: hoi.simulate(ball(), "jelly"), "the ground"),
-        (lambda: hoi.simulate(hoi.GaussianCloud(*(part[:0] for part in vars(ball()).values())), "jelly"), "no Gaussian"),
+        (
+            lambda: hoi.simulate(select(ball(), np.arange(0)), "jelly"),
+            "no Gaussian",
+        ),
         (lambda: hoi.sample_motion("a person kicks", frames=2), "frames"),
         (lambda: hoi.sample_motion("a person kicks", "giant"), "giant"),
         (lambda: hoi.sample_motion("a person kicks", checkpoint="nowhere.pt"), "nowhere.pt"),
@@ -279,14 +283,14 @@ def test_what_is_wrong_is_said_in_a_line(call, says):
 def test_a_motion_is_what_stage_1_starts_from(tmp_path):
     prompt = "a person kicks with the right foot"
     config = hoi.compose(
-        *QUICK, "human=woman", f"scene.motion_prompt={prompt}", "stage.motion.iterations=0",
+        *QUICK, "human=woman", "human.gaussians=26000", f"scene.motion_prompt={prompt}", "stage.motion.iterations=0",
         "stage.coordinate.iterations=0", "scene.approach=none", "stage/refine=none", "stage/contact=none", seed=5,
     )  # fmt: skip
     expected = hoi.run(config).state.motion
     drawn = hoi.sample_motion(prompt, "woman", 5)
     assert expected is not None and len(drawn) == 40 and drawn.fps == expected.fps
     for name in ("translation", "orientation", "body_pose"):
-        np.testing.assert_array_equal(getattr(drawn, name), getattr(expected, name))
+        np.testing.assert_allclose(getattr(drawn, name), getattr(expected, name), atol=1e-6)
     python("-m", "hoi.runner.sample", prompt, "-o", "kick.mcap", "--person", "woman", "--seed", "5", cwd=tmp_path)
     told = hoi.read(tmp_path / "kick.mcap").state.motion
     assert told is not None
