@@ -93,7 +93,7 @@ def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progr
         facts["sha256.object"] = digest.hexdigest()
         facts["config_hash"] = hashlib.sha256((facts["config_hash"] + digest.hexdigest()).encode()).hexdigest()
     path = None if out is None else out / RECORD
-    job = Job(config, path, OmegaConf.to_yaml(structured, resolve=True), facts)
+    job = Job(config, path, OmegaConf.to_yaml(structured, resolve=True), facts, tells=progress)
     with ExitStack() as held:
         if path is not None:
             held.enter_context(alone(path.parent))
