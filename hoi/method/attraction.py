@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,10 +17,6 @@ from hoi.data import Array, Body, Motion, ObjectTrajectory, Scene, State, Target
 from hoi.frames import at_frame
 from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise, stream_generators
 from hoi.reports import Stage
-
-if TYPE_CHECKING:
-    from hoi.stages.contract import Attraction
-    from hoi.stages.coordinate.default import Coordinate
 
 ENDS = 0.2
 """No strike is aimed nearer to the upper and lower ends of an object than this [m]: balls are struck at the centre."""
@@ -171,9 +166,14 @@ def coordinate(
     batch: Batch,
     states: Sequence[State],
     distillation: ScoreDistillation | None,
-    attraction: "Attraction | None",
-    settings: "Coordinate",
+    attraction: Term | None,
     stages: Sequence[Stage],
+    *,
+    iterations: int,
+    learning_rate: float,
+    decay: float,
+    lambda_hmsd: float,
+    lambda_feet: float,
 ) -> list[Motion]:
     """N_sync iterations of lambda_HMSD L_HMSD + lambda_attr L_attr + lambda_feet L_feet, of all runs as one batch.
 
@@ -183,6 +183,8 @@ def coordinate(
 
     Args:
         states: with the motion, the target and the object's free motion, that of all runs.
+        attraction: lambda_attr and L_attr; None without.
+        decay: see `hoi.method.hmsd.optimise`.
 
     Raises:
         RunError: the motion is not finite.
@@ -191,16 +193,16 @@ def coordinate(
     body, fps, device = batch.scenes[0].body, batch.scenes[0].fps, batch.device
     pose = PoseParameters.of(motions, device, steps=distillation is not None)
     terms: dict[str, Term] = {}
-    if distillation is not None and settings.lambda_hmsd > 0:
+    if distillation is not None and lambda_hmsd > 0:
         generators = stream_generators(batch.seeds, "coordinate")
-        terms["hmsd"] = lambda _: distillation.loss(pose, generators), settings.lambda_hmsd
+        terms["hmsd"] = lambda _: distillation.loss(pose, generators), lambda_hmsd
     if attraction is not None:
-        terms["attraction"] = attraction.term(batch, states)
+        terms["attraction"] = attraction
 
     paths = [joint_paths(scene.body, motion) for scene, motion in zip(batch.scenes, motions, strict=True)]
     standing = joint_paths(body, stand_motion(body, 1, fps))[0, :, 2]
     planted = [stances(path, standing, fps) if distillation is not None else [] for path in paths]
-    if settings.lambda_feet > 0 and distillation is not None:
+    if lambda_feet > 0 and distillation is not None:
         footings = [Footing(path, feet, device) if feet else None for path, feet in zip(paths, planted, strict=True)]
         soles = torch.as_tensor(standing, dtype=torch.float32, device=device)
 
@@ -209,7 +211,7 @@ def coordinate(
             moved = torch.stack([footing.loss(own) if footing else own.new_zeros(()) for footing, own in each])
             return moved + sunk(joints, soles)
 
-        terms["feet"] = keep_feet, settings.lambda_feet
+        terms["feet"] = keep_feet, lambda_feet
 
     rest = torch.as_tensor(body.rest_joints, dtype=torch.float32, device=device)
 
@@ -218,7 +220,7 @@ def coordinate(
         return {name: term(places) for name, (term, _) in terms.items()}
 
     weights = {name: weight for name, (_, weight) in terms.items()}
-    optimise(pose, losses, weights, settings.iterations, settings.learning_rate, stages, settings.decay)
+    optimise(pose, losses, weights, iterations, learning_rate, stages, decay)
     moved = pose.motions(fps)
     for run, (scene, state, stage) in enumerate(zip(batch.scenes, states, stages, strict=True)):
         stage.numbers["slide_before"] = slide(paths[run], planted[run])

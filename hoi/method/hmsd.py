@@ -3,25 +3,20 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hoi.body.kinematics import joint_positions, leg_length
-from hoi.body.skinning import sole_height, stand_motion
+from hoi.body.skinning import sole_height
 from hoi.data import Motion, Scene
 from hoi.errors import RunError
-from hoi.importers.motions import read_motion
 from hoi.motion import features
 from hoi.motion.diffusion import ancestral_sample, ddim_sample, q_sample
 from hoi.motion.prior import MotionPrior, load_prior
 from hoi.reports import Stage
 from hoi.streams import stream_seed
-
-if TYPE_CHECKING:
-    from hoi.stages.motion.hmsd import HMSD
 
 PELVIS_VELOCITY = slice(1, 3)
 """Where `hoi.motion.features` has the pelvis' velocity along the ground."""
@@ -184,69 +179,73 @@ def optimise(
         raise RunError("the motion is not finite after the last iteration; lower the guidance or learning rate")
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """How a motion is drawn from the prior."""
+
+    guidance: float
+    """Scale [-]."""
+    rescale: float
+    """Share of its overshoot that is taken back [-]."""
+    sampler: str
+    """"ancestral" or "ddim"."""
+    steps: int | None
+    """Evenly spaced timesteps; None takes all."""
+
+
 def load_distillation(
-    scene: Scene, settings: "HMSD", device: str, stand: bool = False, clip: Path | None = None
+    scene: Scene,
+    device: str,
+    *,
+    checkpoint: str | None,
+    guidance: float,
+    rescale: float,
+    t_min: int,
+    t_max: int,
+    stand: bool = False,
+    clip: Path | None = None,
 ) -> ScoreDistillation:
-    """The motion prior, made ready for this scene's prompt and person, who may have to `stand` still.
+    """The motion prior, made ready for this scene's prompt and person; see `ScoreDistillation`.
 
     Args:
-        clip: folder of the text encoder of a prior that wants one (see `hoi.motion.prior.load_prior`).
+        checkpoint, clip: of the prior and its text encoder, see `hoi.motion.prior.load_prior`.
     """
-    prior = load_prior(Path(settings.checkpoint) if settings.checkpoint else None, device, clip)
+    prior = load_prior(Path(checkpoint) if checkpoint else None, device, clip)
     body_leg = leg_length(torch.as_tensor(scene.body.rest_joints))
     return ScoreDistillation(
         prior=prior,
         text=prior.encode_text([scene.motion_prompt]),
         leg_ratio=float(leg_length(prior.rest_joints) / body_leg),
         sole_height=sole_height(scene.body),
-        guidance=settings.guidance,
-        rescale=settings.guidance_rescale,
-        t_min=settings.t_min,
-        t_max=min(settings.t_max, prior.timesteps),
+        guidance=guidance,
+        rescale=rescale,
+        t_min=t_min,
+        t_max=min(t_max, prior.timesteps),
         stand=stand,
     )
 
 
 def synthesise(
-    scene: Scene,
-    distillation: ScoreDistillation | None,
-    settings: "HMSD",
+    distillation: ScoreDistillation,
+    starts: Sequence[Motion],
     seeds: Sequence[int],
     stages: Sequence[Stage],
+    *,
+    iterations: int,
+    learning_rate: float,
 ) -> list[Motion]:
-    """N_init iterations of L_HMSD from a sample of the prior, from the standing pose or from a motion file.
-
-    One motion a seed, optimised as one batch; `stages` are told of one each. There need be no distillation where
-    neither a sample nor an iteration is wanted (the plan knows).
-    """
-    start = stand_motion(scene.body, scene.frames, scene.fps)
-    if settings.init == "file":
-        assert settings.path is not None  # checked by `validate`
-        start, notes = read_motion(
-            Path(settings.path), scene.body, scene.frames, scene.fps, settings.start_time, settings.up
-        )
-        for stage in stages:
-            stage.notes.extend(notes)
-    if distillation is None:
-        return [start for _ in seeds]
-    if settings.init == "sample":
-        starts = sample_motions(scene, distillation, settings, seeds)
-    else:
-        starts = [start for _ in seeds]
+    """N_init iterations of L_HMSD. One motion a seed, optimised as one batch; `stages` are told of one each."""
     pose = PoseParameters.of(starts, str(distillation.prior.device))
     generators = stream_generators(seeds, "motion")
-    optimise(
-        pose,
-        lambda: {"hmsd": distillation.loss(pose, generators)},
-        {"hmsd": 1.0},
-        settings.iterations,
-        settings.learning_rate,
-        stages,
-    )
-    return pose.motions(scene.fps)
+
+    def losses() -> dict[str, Tensor]:
+        return {"hmsd": distillation.loss(pose, generators)}
+
+    optimise(pose, losses, {"hmsd": 1.0}, iterations, learning_rate, stages)
+    return pose.motions(starts[0].fps)
 
 
-def sample_features(distillation: ScoreDistillation, settings: "HMSD", frames: int, seeds: Sequence[int]) -> Tensor:
+def sample_features(distillation: ScoreDistillation, how: Sampling, frames: int, seeds: Sequence[int]) -> Tensor:
     """One motion a seed drawn from the prior, as its features (B, T, 205), for its own skeleton.
 
     Raises:
@@ -255,10 +254,10 @@ def sample_features(distillation: ScoreDistillation, settings: "HMSD", frames: i
     prior = distillation.prior
 
     def predict(x: Tensor, t: Tensor) -> Tensor:
-        return distillation.predict_x0(x, t, settings.sample_guidance, settings.sample_rescale)
+        return distillation.predict_x0(x, t, how.guidance, how.rescale)
 
-    sample = ddim_sample if settings.sampler == "ddim" else ancestral_sample
-    steps = None if settings.sample_steps is None else min(settings.sample_steps, prior.timesteps)
+    sample = ddim_sample if how.sampler == "ddim" else ancestral_sample
+    steps = None if how.steps is None else min(how.steps, prior.timesteps)
     generators = stream_generators(seeds, "sample")
     shape = (len(seeds), frames, features.FEATURE_COUNT)
     drawn = prior.denormalise(sample(predict, shape, prior.alphas_cumprod, generators, steps, prior.device))
@@ -268,14 +267,14 @@ def sample_features(distillation: ScoreDistillation, settings: "HMSD", frames: i
 
 
 def sample_motions(
-    scene: Scene, distillation: ScoreDistillation, settings: "HMSD", seeds: Sequence[int]
+    distillation: ScoreDistillation, how: Sampling, frames: int, fps: float, seeds: Sequence[int]
 ) -> list[Motion]:
     """One motion a seed drawn from the prior, on this body, from the origin facing +Y.
 
     Raises:
         RunError: as `sample_features`.
     """
-    drawn = sample_features(distillation, settings, scene.frames, seeds)
+    drawn = sample_features(distillation, how, frames, seeds)
     translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(drawn))
     translation = translation / distillation.leg_ratio + np.array([0, 0, distillation.sole_height], translation.dtype)
-    return [Motion(*parts, fps=scene.fps) for parts in zip(translation, orientation, body_pose, strict=True)]
+    return [Motion(*parts, fps=fps) for parts in zip(translation, orientation, body_pose, strict=True)]

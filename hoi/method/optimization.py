@@ -70,9 +70,10 @@ class Walk:
         plan, options = self.plan, self.config.stage
         self.states = [self.aimed(scene, state) for scene, state in zip(self.batch.scenes, self.states, strict=True)]
         if plan.keeps("coordinate"):
-            attraction = options.attraction if "attraction" in plan.uses else None
+            attraction = options.attraction.term(self.batch, self.states) if "attraction" in plan.uses else None
             with shared_stage(self.stages, "coordinate", options.coordinate.iterations) as each:
-                self._move(coordinate(self.batch, self.states, self.distillation, attraction, options.coordinate, each))
+                settings = vars(options.coordinate)
+                self._move(coordinate(self.batch, self.states, self.distillation, attraction, each, **settings))
 
     def interact(self, run: int) -> None:
         """The object answers, the contact looks right: the rest of one run.

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,20 +10,19 @@ from torch import Tensor
 from hoi.data import Motion, ObjectTrajectory, Scene, State
 from hoi.errors import RefineStopped
 from hoi.refine.clip import Clip, across, contact_framing, viewpoints
-from hoi.refine.geometric import Geometry
+from hoi.refine.geometric import Geometry, Weights
 from hoi.refine.meeting import meet
 from hoi.refine.window import Window, WindowedPose
 from hoi.reports import Stage
 from hoi.streams import stream_seed
 from hoi.video_prior import VideoPrior
 
-if TYPE_CHECKING:
-    from hoi.stages.refine.video_sds import VideoSDS
-
 REMEDY = "lower stage.refine.guidance or learning_rate, or use stage/refine=geometric"
 SMALLER = (
     "lower stage.refine.clip_frames, width or height, set stage.refine.offload=true, or use stage/refine=geometric"
 )
+
+Losses = Callable[[], dict[str, Tensor]]
 
 
 def predict_z(z_t: Tensor, v: Tensor, alpha_bar: Tensor) -> Tensor:
@@ -44,10 +42,31 @@ def weight(alpha_bar: Tensor) -> Tensor:
     return (alpha_bar * (1 - alpha_bar)).sqrt()
 
 
-def latest_timestep(settings: "VideoSDS", iteration: int) -> int:
-    """t_max(i): falls linearly from `t_max` to `t_max_end` in `t_max_iterations` and stays there."""
-    share = min(iteration / settings.t_max_iterations, 1.0) if settings.t_max_iterations else 1.0
-    return round(settings.t_max + share * (settings.t_max_end - settings.t_max))
+@dataclass(frozen=True)
+class Timesteps:
+    """Between which diffusion timesteps, of 1000, are drawn."""
+
+    t_min: int
+    t_max: int
+    t_max_end: int
+    iterations: int
+    """In so many t_max falls linearly to t_max_end, where it stays."""
+
+    def latest(self, iteration: int) -> int:
+        """t_max(i)."""
+        share = min(iteration / self.iterations, 1.0) if self.iterations else 1.0
+        return round(self.t_max + share * (self.t_max_end - self.t_max))
+
+
+@dataclass(frozen=True)
+class Viewpoints:
+    """The ring of cameras, one of which an iteration looks from."""
+
+    count: int
+    elevation: float
+    """Above the horizon [rad]."""
+    distance: float | None
+    """Radius of the ring [m]; None frames what the prior wants to see."""
 
 
 @dataclass(frozen=True)
@@ -108,11 +127,17 @@ def video_sds(
     scene: Scene,
     state: State,
     window: Window,
-    settings: "VideoSDS",
     *,
+    timesteps: Timesteps,
+    looks: Viewpoints,
+    guidance: float,
+    rescale: float,
+    iterations: int,
+    learning_rate: float,
     seed: int,
     device: torch.device | str,
     stage: Stage,
+    others: Callable[[WindowedPose], Losses] | None = None,
     enough: Callable[[Motion], bool] | None = None,
 ) -> Motion:
     """The motion with theta in the window refined by a prior.
@@ -121,6 +146,8 @@ def video_sds(
 
     Args:
         prior: prepared for the scene's prompt.
+        guidance, rescale: see `hoi.motion.diffusion.guide`.
+        others: makes the losses that are added to Video-SDS, already weighted; nothing for the paper.
         enough: whether a motion needs no more of it; None: all iterations are done.
 
     Raises:
@@ -133,19 +160,19 @@ def video_sds(
     frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
     clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
     contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
-    views = viewpoints(clip, contact, settings.viewpoints, settings.elevation, settings.distance, prior.size)
+    views = viewpoints(clip, contact, looks.count, looks.elevation, looks.distance, prior.size)
     if prior.sees_silhouettes and window.push is not None:
         views = across(views, window.push.normal) or views
     draws = Draws(seed)
     rows = torch.tensor(window.frames, device=device)
-    other_losses = _other_losses(pose, scene, trajectory, settings, device)
+    other_losses = others(pose) if others is not None else dict
 
-    optimiser = torch.optim.Adam([pose.offset], lr=settings.learning_rate)
-    for iteration in range(settings.iterations):
+    optimiser = torch.optim.Adam([pose.offset], lr=learning_rate)
+    for iteration in range(iterations):
         camera = views[draws.viewpoint(len(views))]
-        t = draws.timestep(settings.t_min, latest_timestep(settings, iteration))
+        t = draws.timestep(timesteps.t_min, timesteps.latest(iteration))
         z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
-        residual = distil(z, draws.noise(z), t, prior, settings.guidance, settings.guidance_rescale)
+        residual = distil(z, draws.noise(z), t, prior, guidance, rescale)
         terms = {"sds": residual.loss.to(pose.offset), **other_losses()}
         optimiser.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
@@ -155,29 +182,29 @@ def video_sds(
         losses = {name: float(term.detach()) for name, term in terms.items()}
         stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
         if enough is not None and enough(pose.motion()):
-            stage.notes.append(f"enough after {iteration + 1} of {settings.iterations} iterations")
+            stage.notes.append(f"enough after {iteration + 1} of {iterations} iterations")
             break
     return pose.motion()
 
 
-def _other_losses(
-    pose: WindowedPose,
-    scene: Scene,
-    trajectory: ObjectTrajectory,
-    settings: "VideoSDS",
-    device: torch.device | str,
-) -> Callable[[], dict[str, Tensor]]:
-    """What the config adds to Video-SDS, already weighted; nothing for the paper."""
-    meeting = meet(scene, pose.before, trajectory, pose.window) if settings.lambda_geometry else None
-    geometry = Geometry(meeting, settings, device) if meeting is not None else None
+def geometry_beside(
+    scene: Scene, trajectory: ObjectTrajectory, weights: Weights, weight: float, device: torch.device | str
+) -> Callable[[WindowedPose], Losses]:
+    """What stage/refine=geometric has, `weight` times, and the smoothness, to be added to Video-SDS."""
 
-    def others() -> dict[str, Tensor]:
-        terms = {"smooth": settings.lambda_smooth * pose.roughness()} if settings.lambda_smooth else {}
-        if geometry is not None:
-            terms |= {name: settings.lambda_geometry * term for name, term in geometry.terms(pose).items()}
-        return terms
+    def of(pose: WindowedPose) -> Losses:
+        meeting = meet(scene, pose.before, trajectory, pose.window) if weight else None
+        geometry = Geometry(meeting, weights, device) if meeting is not None else None
 
-    return others
+        def losses() -> dict[str, Tensor]:
+            terms = {"smooth": weights.smooth * pose.roughness()} if weights.smooth else {}
+            if geometry is not None:
+                terms |= {name: weight * term for name, term in geometry.terms(pose).items()}
+            return terms
+
+        return losses
+
+    return of
 
 
 @contextmanager

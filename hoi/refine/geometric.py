@@ -5,7 +5,8 @@ The object is `hoi.refine.surface.Surface`; gradients go through its signed dist
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,9 +22,6 @@ from hoi.refine.meeting import Meeting
 from hoi.refine.surface import Surface
 from hoi.refine.window import WindowedPose, bones_apart
 from hoi.reports import Stage
-
-if TYPE_CHECKING:
-    from hoi.stages.refine import WindowedRefinement
 
 UNIT = 0.01
 """Depths and gaps count in this [m], so that the terms are of the order of 1 where there is something to do."""
@@ -41,6 +39,20 @@ TOGETHER = 1.5
 """Standard deviation with which a frame of the window takes its neighbours along [frames]."""
 SETTLED = 1e-3
 """An iteration that lowers the loss by a smaller share of it, or of 1, is the last."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Of the terms of the loss [-]."""
+
+    penetration: float
+    """Of the depth of the limb in the object."""
+    touch: float
+    """Of the distance between the skin of j_c and the object at t_c."""
+    pose: float
+    """Of leaving stage 2's pose."""
+    smooth: float
+    """Of changing accelerations."""
 
 
 class SignedDistance(torch.autograd.Function):
@@ -65,7 +77,7 @@ class Geometry:
     def __init__(
         self,
         meeting: Meeting,
-        settings: "WindowedRefinement",
+        weights: Weights,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
@@ -79,7 +91,7 @@ class Geometry:
         bones = bones_apart(meeting.window.joint)[list(meeting.window.moving)]
         self.stiffness = torch.tensor(STIFFER**bones, dtype=dtype, device=device)
         """k of each joint that moves, (J,)."""
-        self._settings = settings
+        self.weights = weights
 
     def terms(self, pose: WindowedPose) -> dict[str, Tensor]:
         """Penetration, touch and pose prior, each weighted as the config says; their sum is the loss.
@@ -88,17 +100,17 @@ class Geometry:
         square: one Gaussian that is deep counts more than many that are not. touch: (gap at t_c / UNIT)^2, 0 inside.
         pose: mean over frames of sum_j k_j |change of theta_j|^2, k_j = STIFFER^bones between j and the striking joint.
         """
-        settings, meeting = self._settings, self._meeting
+        weights, meeting = self.weights, self._meeting
         signed = SignedDistance.apply(self.skin(pose), meeting.surfaces)
         assert isinstance(signed, Tensor)
         depth = (-signed / UNIT).clamp(min=0)
         terms = {
-            "penetration": settings.lambda_penetration * ((depth**4).sum(-1) + TINY).sqrt().mean(),
-            "pose": settings.lambda_pose * (self.stiffness * pose.change.square().sum(-1)).sum(-1).mean(),
+            "penetration": weights.penetration * ((depth**4).sum(-1) + TINY).sqrt().mean(),
+            "pose": weights.pose * (self.stiffness * pose.change.square().sum(-1)).sum(-1).mean(),
         }
         if self._touches:
             gap = signed[meeting.at_contact, self._striking].min().clamp(min=0) / UNIT
-            terms["touch"] = settings.lambda_touch * gap.square()
+            terms["touch"] = weights.touch * gap.square()
         return terms
 
     def skin(self, pose: WindowedPose) -> Tensor:
@@ -116,7 +128,7 @@ def _spread(distances: Array) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, min(SKIN, len(rows))).astype(int)]
 
 
-def minimise(pose: WindowedPose, geometry: Geometry, settings: "WindowedRefinement", stage: Stage) -> None:
+def minimise(pose: WindowedPose, geometry: Geometry, iterations: int, stage: Stage) -> None:
     """L-BFGS on theta in the window, in place, until the loss no longer falls or the iterations are spent.
 
     There are few variables and no noise: where Adam trembles about the surface this settles on it.
@@ -135,7 +147,7 @@ def minimise(pose: WindowedPose, geometry: Geometry, settings: "WindowedRefineme
         with torch.no_grad():
             variables = torch.from_numpy(scaled).to(pose.offset).view_as(pose.offset)
             pose.offset.copy_(torch.einsum("ef,fjd->ejd", together, units * variables))
-        found = geometry.terms(pose) | {"smooth": settings.lambda_smooth * pose.roughness()}
+        found = geometry.terms(pose) | {"smooth": geometry.weights.smooth * pose.roughness()}
         total = torch.stack(list(found.values())).sum()
         (gradient,) = torch.autograd.grad(total, pose.offset)
         if not (bool(total.isfinite()) and bool(gradient.isfinite().all())):
@@ -151,6 +163,6 @@ def minimise(pose: WindowedPose, geometry: Geometry, settings: "WindowedRefineme
         jac=True,
         method="L-BFGS-B",
         callback=lambda _: stage.iteration(stage.iterations, dict(terms)),
-        options={"maxiter": settings.iterations, "ftol": SETTLED},
+        options={"maxiter": iterations, "ftol": SETTLED},
     )
     loss(best.x)

@@ -1,7 +1,6 @@
 """Stage 3, whatever its loss: whether there is something to refine, and what came of it."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -12,17 +11,15 @@ from hoi.refine.meeting import Meeting, meet
 from hoi.refine.window import Window, window_around
 from hoi.reports import Stage
 
-if TYPE_CHECKING:
-    from hoi.stages.refine import WindowedRefinement
-
 
 def refined(
     scene: Scene,
     state: State,
-    settings: "WindowedRefinement",
+    half_width: float,
     distance: float,
     improve: Callable[[Meeting], Motion],
     stage: Stage,
+    needed_above: float | None = None,
 ) -> Motion:
     """The motion with theta improved around contact; as it was, where that is not needed or does not succeed.
 
@@ -30,12 +27,14 @@ def refined(
     (see `hoi.refine.fidelity.Fidelity`), or why nothing was done.
 
     Args:
+        half_width: Delta t [frames].
         distance: d_contact [m].
         improve: makes a better motion of what meets in the window; may raise RefineStopped.
+        needed_above: penetration up to which nothing is done [m]; None: whatever it is, something is.
     """
     motion, trajectory = state.motion, state.trajectory
     assert motion is not None and trajectory is not None
-    window = contact_window(state, settings.half_width, scene.frames)
+    window = contact_window(state, half_width, scene.frames)
     if window is None:
         stage.notes.append("no contact: nothing to refine")
         return motion
@@ -45,8 +44,8 @@ def refined(
         return motion
     before = meeting.fidelity(motion, distance)
     tell(stage, before, "before")
-    if settings.when == "needed" and before.penetration <= settings.tolerance:
-        deep = f"{before.penetration:.4f} m deep in the object, no more than {settings.tolerance:g} m"
+    if needed_above is not None and before.penetration <= needed_above:
+        deep = f"{before.penetration:.4f} m deep in the object, no more than {needed_above:g} m"
         stage.notes.append(f"not needed: the limb is {deep}")
         return motion
     try:

@@ -81,7 +81,7 @@ def drawn(
     """The motion that stage 1 of a run with this prompt, person and seed starts from; see `hoi.api.sample_motion`."""
     from hoi.body.people import load_person
     from hoi.config.compose import config_of
-    from hoi.method.hmsd import load_distillation, sample_motions
+    from hoi.method.hmsd import sample_motions
     from hoi.stages.motion.hmsd import HMSD
 
     if not 3 <= frames <= MOST_FRAMES:
@@ -94,9 +94,9 @@ def drawn(
     person = load_person(body, seed=seed) if isinstance(body, str) else body
     ground, gravity = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0])), np.array([0.0, 0.0, -9.81])
     scene = Scene("sample", person, None, prompt, frames, FPS, gravity, (ground,))
-    distillation = load_distillation(scene, settings, device, clip=clip)
+    distillation = settings.prior(scene, device, False, clip)
     scene = replace(scene, fps=distillation.prior.fps)
-    (motion,) = sample_motions(scene, distillation, settings, [seed])
+    (motion,) = sample_motions(distillation, settings.sampling, frames, distillation.prior.fps, [seed])
     return motion, Drawing(scene, distillation, settings)
 
 
@@ -161,7 +161,7 @@ def _write_npz(options: argparse.Namespace, drawing: Drawing) -> None:
     from hoi.motion.features import decode
 
     prior = drawing.distillation.prior
-    (features,) = sample_features(drawing.distillation, drawing.settings, options.frames, [options.seed]).cpu()
+    (features,) = sample_features(drawing.distillation, drawing.settings.sampling, options.frames, [options.seed]).cpu()
     translation, *turns = decode(features)
     local, rest_joints = local_rotations(*turns), prior.rest_joints.cpu()
     _, joints = forward_kinematics(local, translation, rest_joints)

@@ -14,7 +14,7 @@ from hoi.data import Motion, StageReport, State, Target
 from hoi.errors import InputError, RunError
 from hoi.method.approach import BACK_STEP, approach, shifted
 from hoi.method.attraction import REACHED, Batch, coordinate
-from hoi.method.hmsd import load_distillation, sample_motions, synthesise
+from hoi.method.hmsd import sample_motions
 from hoi.method.object_motion import at_rest, free_motion
 from hoi.method.optimization import Walk
 from hoi.method.scene_representation import is_apart
@@ -30,8 +30,8 @@ SMALL = ("human.gaussians=2000", "object.max_gaussians=1500", "stage/object=mpm_
 def stage_1(config):
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSD)
-    distillation = load_distillation(scene, conf, "cpu", config.scene.approach == "stand")
-    return scene, distillation, synthesise(scene, distillation, conf, [config.seed], [quiet()])[0]
+    distillation = conf.prior(scene, "cpu", config.scene.approach == "stand")
+    return scene, distillation, conf.motions(scene, distillation, [config.seed], [quiet()])[0]
 
 
 def walk_of(config, seeds, distillation, motions) -> Walk:
@@ -47,8 +47,8 @@ def stage_2(config, distillation, motion, target=None):
     walk, stage = walk_of(config, [config.seed], distillation, [motion]), quiet("coordinate")
     (state,), (scene,), options = walk.states, walk.batch.scenes, config.stage
     state = walk.aimed(scene, state) if target is None else replace(state, target=target)
-    attraction = options.attraction if "attraction" in walk.plan.uses else None
-    (after,) = coordinate(walk.batch, [state], distillation, attraction, options.coordinate, [stage])
+    attraction = options.attraction.term(walk.batch, [state]) if "attraction" in walk.plan.uses else None
+    (after,) = coordinate(walk.batch, [state], distillation, attraction, [stage], **vars(options.coordinate))
     return after, state.target, stage
 
 
@@ -202,8 +202,10 @@ def test_seeds_differ_and_repeat(composed):
     config = to_config(composed(*SMALL))
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSD)
-    distillation = load_distillation(scene, conf, "cpu")
-    first, again, other = (sample_motions(scene, distillation, conf, [seed])[0].body_pose for seed in (0, 0, 1))
+    distillation = conf.prior(scene, "cpu", False)
+    first, again, other = (
+        sample_motions(distillation, conf.sampling, scene.frames, scene.fps, [seed])[0].body_pose for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.1
 
@@ -214,10 +216,10 @@ def test_runs_of_a_batch_are_the_runs_of_their_seeds(composed):
     config = to_config(composed(*SMALL, *short))
     scene, conf, seeds = build_scene(config), config.stage.motion, (3, 1, 4)
     assert isinstance(conf, HMSD)
-    distillation = load_distillation(scene, conf, "cpu")
+    distillation = conf.prior(scene, "cpu", False)
 
     def both(seeds) -> tuple[list[Motion], list[StageReport]]:
-        motions = synthesise(scene, distillation, conf, seeds, [quiet() for _ in seeds])
+        motions = conf.motions(scene, distillation, seeds, [quiet() for _ in seeds])
         walk = walk_of(config, seeds, distillation, motions)
         walk.coordinate()
         return [state.motion for state in walk.states], [stages.reports[0] for stages in walk.stages]

@@ -8,7 +8,7 @@ import pytest
 from hoi.body.skinning import joint_paths, posed_means
 from hoi.config.validate import to_config
 from hoi.errors import RunError
-from hoi.method.hmsd import load_distillation, sample_motions
+from hoi.method.hmsd import sample_motions
 from hoi.runner.scene import build_scene
 from hoi.stages.motion.hmsd import HMSD
 from hoi.streams import stream_seed
@@ -20,9 +20,9 @@ def test_sampled_kick_fits_the_person(composed, person):
     config = to_config(composed(f"human={person}", "human.gaussians=2000"))
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSD)
-    distillation = load_distillation(scene, conf, "cpu")
-    (motion,) = sample_motions(scene, distillation, conf, [1])
-    (again,) = sample_motions(scene, distillation, conf, [1])
+    distillation = conf.prior(scene, "cpu", False)
+    (motion,) = sample_motions(distillation, conf.sampling, scene.frames, scene.fps, [1])
+    (again,) = sample_motions(distillation, conf.sampling, scene.frames, scene.fps, [1])
     np.testing.assert_array_equal(motion.body_pose, again.body_pose)
     joints = joint_paths(scene.body, motion)
     np.testing.assert_allclose(motion.translation[0, :2], 0, atol=1e-6)
@@ -46,5 +46,6 @@ def test_sample_that_is_not_finite_fails_the_run(composed):
     config = to_config(composed("human.gaussians=2000", "stage.motion.sample_steps=2"))
     scene, conf = build_scene(config), config.stage.motion
     assert isinstance(conf, HMSD)
+    distillation = conf.prior(scene, "cpu", False)
     with pytest.raises(RunError, match="not finite; lower"):
-        sample_motions(scene, load_distillation(scene, conf, "cpu"), replace(conf, sample_guidance=np.inf), [0])
+        sample_motions(distillation, replace(conf, sample_guidance=np.inf).sampling, scene.frames, scene.fps, [0])

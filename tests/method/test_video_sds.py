@@ -13,7 +13,7 @@ from hoi.body.skinning import pose_means, posed_means
 from hoi.data import Motion, Run
 from hoi.errors import InputError, RefineStopped
 from hoi.method import video_sds as sds
-from hoi.method.video_sds import Draws, distil, latest_timestep, memory_may_run_out, predict_z, video_sds, weight
+from hoi.method.video_sds import Draws, Timesteps, distil, memory_may_run_out, predict_z, weight
 from hoi.motion.diffusion import guide
 from hoi.refine.clip import Clip, across, contact_framing, moved_by, subset, viewpoints
 from hoi.refine.views import Framing, ring, viewpoint
@@ -104,7 +104,7 @@ def clip_of(run: Run, window: Window, frames: list[int]) -> Clip:
 def refine(run: Run, window: Window, prior: GaussianPrior, seed: int = 0, **changes: object):
     stages = Stages()
     with stages.stage("refine", 1) as stage:
-        motion = video_sds(prior, run.scene, run.state, window, conf(**changes), seed=seed, device="cpu", stage=stage)
+        motion = conf(**changes).distilled(prior, run.scene, run.state, window, seed, "cpu", stage)
     return motion, stages
 
 
@@ -169,9 +169,9 @@ def test_averaged_over_noise_it_follows_the_score() -> None:
 
 
 def test_the_latest_timestep_falls_linearly_and_stays() -> None:
-    paper = conf(t_max=980, t_max_end=300, t_max_iterations=1000)
-    assert [latest_timestep(paper, i) for i in (0, 500, 1000, 2999)] == [980, 640, 300, 300]
-    assert latest_timestep(conf(t_max_iterations=0), 0) == 300
+    paper = Timesteps(100, 980, 300, 1000)
+    assert [paper.latest(i) for i in (0, 500, 1000, 2999)] == [980, 640, 300, 300]
+    assert Timesteps(100, 980, 300, 0).latest(0) == 300
 
 
 def test_streams_are_uniform_and_do_not_shift_each_other() -> None:
@@ -320,8 +320,7 @@ def test_it_ends_when_it_is_enough(run: Run, window: Window) -> None:
 
     stages = Stages()
     with stages.stage("refine", 1) as stage:
-        settings = {"seed": 0, "device": "cpu", "stage": stage, "enough": enough}
-        motion = video_sds(prior, run.scene, run.state, window, conf(iterations=40), **settings)
+        motion = conf(iterations=40).distilled(prior, run.scene, run.state, window, 0, "cpu", stage, enough)
         assert stage.notes[-1] == "enough after 3 of 40 iterations"
     assert stages.reports[0].iterations == 3
     assert motion.body_pose.tobytes() == whole.body_pose.tobytes() == seen[-1].body_pose.tobytes()

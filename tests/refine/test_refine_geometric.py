@@ -49,7 +49,7 @@ def test_the_gradient_is_the_slope(config):
     window = contact_window(state, 1.0, scene.frames)
     meeting = meet(scene, state.motion, state.trajectory, window)
     assert meeting is not None
-    geometry = Geometry(meeting, conf_of(config), dtype=torch.float64)
+    geometry = Geometry(meeting, conf_of(config).weights, dtype=torch.float64)
     pose = WindowedPose(state.motion, window, dtype=torch.float64)
     with torch.no_grad():
         pose.offset.normal_(0, 0.02, generator=torch.Generator().manual_seed(0))
@@ -174,7 +174,7 @@ def test_a_loss_that_is_not_finite_stops(config, monkeypatch):
     assert meeting is not None
     broken = replace(conf_of(config), lambda_pose=float("nan"))
     with pytest.raises(RefineStopped, match="not finite after 0 iterations"):
-        minimise(WindowedPose(state.motion, window), Geometry(meeting, broken), broken, quiet())
+        minimise(WindowedPose(state.motion, window), Geometry(meeting, broken.weights), broken.iterations, quiet())
 
 
 def test_the_instants_hold_the_contact():

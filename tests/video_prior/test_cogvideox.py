@@ -17,7 +17,6 @@ from tiny_cogvideox import SCHEDULER_5B, TRANSFORMER, VAE, build
 from transformers import AutoTokenizer, T5EncoderModel
 
 from hoi.errors import InputError
-from hoi.method.video_sds import video_sds
 from hoi.refine.window import window_around
 from hoi.reports import Stages
 from hoi.stages.refine.video_sds import VideoPriorKind, VideoSDS
@@ -224,8 +223,7 @@ def test_stage_3_moves_theta_in_the_window_and_nothing_else(prior: CogVideoX) ->
     frozen = [p.clone() for model in (prior.vae, prior.transformer) for p in model.parameters()]
     stages = Stages()
     with stages.stage("refine", 2) as stage:
-        settings = {"seed": 0, "device": "cpu", "stage": stage}
-        motion = video_sds(prior, run.scene, run.state, window, conf(prior._files.folder), **settings)
+        motion = conf(prior._files.folder).distilled(prior, run.scene, run.state, window, 0, "cpu", stage)
     changed = np.zeros((6, 23), dtype=bool)
     changed[np.ix_(window.frames, np.array(window.moving) - 1)] = True
     assert motion.body_pose[~changed].tobytes() == before.body_pose[~changed].tobytes()

@@ -17,7 +17,7 @@ from hoi.stages.contract import Draft, MotionSource, Requirements, option
 if TYPE_CHECKING:
     from hoi.config import Config, SceneConf
     from hoi.data import Motion, Scene, Target
-    from hoi.method.hmsd import ScoreDistillation
+    from hoi.method.hmsd import Sampling, ScoreDistillation
     from hoi.reports import Stage
 
 
@@ -133,18 +133,55 @@ class HMSD(MotionSource):
     def units(self) -> int:
         return self.iterations
 
-    def prior(self, scene: Scene, device: str, stand: bool) -> ScoreDistillation:
+    @property
+    def sampling(self) -> Sampling:
+        """How stage 1 starts, for init=sample."""
+        from hoi.method.hmsd import Sampling
+
+        return Sampling(self.sample_guidance, self.sample_rescale, self.sampler.value, self.sample_steps)
+
+    def prior(self, scene: Scene, device: str, stand: bool, clip: Path | None = None) -> ScoreDistillation:
         from hoi.method.hmsd import load_distillation
 
-        return load_distillation(scene, self, device, stand)
+        return load_distillation(
+            scene,
+            device,
+            checkpoint=self.checkpoint,
+            guidance=self.guidance,
+            rescale=self.guidance_rescale,
+            t_min=self.t_min,
+            t_max=self.t_max,
+            stand=stand,
+            clip=clip,
+        )
 
     def motions(
         self, scene: Scene, distillation: ScoreDistillation | None, seeds: Sequence[int], stages: Sequence[Stage]
     ) -> list[Motion]:
-        from hoi.method.hmsd import synthesise
+        from hoi.method.hmsd import sample_motions, synthesise
+
+        starts = [self._start(scene, stages)] * len(seeds)
+        if distillation is None:
+            return starts
+        if self.init is MotionInit.sample:
+            starts = sample_motions(distillation, self.sampling, scene.frames, scene.fps, seeds)
+        budget = {"iterations": self.iterations, "learning_rate": self.learning_rate}
+        return synthesise(distillation, starts, seeds, stages, **budget)
+
+    def _start(self, scene: Scene, stages: Sequence[Stage]) -> Motion:
+        """The standing pose, or the file's motion."""
+        from hoi.body.skinning import stand_motion
+
+        if self.path is None:
+            return stand_motion(scene.body, scene.frames, scene.fps)
+        from hoi.importers.motions import read_motion
 
         with under(self.key, "start_time", "up"):
-            return synthesise(scene, distillation, self, seeds, stages)
+            place = (scene.body, scene.frames, scene.fps)
+            motion, notes = read_motion(Path(self.path), *place, self.start_time, self.up)
+        for stage in stages:
+            stage.notes.extend(notes)
+        return motion
 
     def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
         from hoi.body.skinning import joint_paths

@@ -12,6 +12,7 @@ from hoi.stages.contract import Draft, Refinement, Requirements
 
 if TYPE_CHECKING:
     from hoi.config import Config
+    from hoi.refine.geometric import Weights
 
 
 class RefineWhen(StrEnum):
@@ -47,6 +48,17 @@ class WindowedRefinement(Refinement):
         own(self.iterations >= 1, "iterations", self.iterations, "1 or more")
         for name in ("lambda_penetration", "lambda_touch", "lambda_pose", "lambda_smooth"):
             own(getattr(self, name) >= 0, name, getattr(self, name), "0 or more")
+
+    @property
+    def needed_above(self) -> float | None:
+        """Penetration that needs refinement [m]; None: whatever it is."""
+        return self.tolerance if self.when is RefineWhen.needed else None
+
+    @property
+    def weights(self) -> Weights:
+        from hoi.refine.geometric import Weights
+
+        return Weights(self.lambda_penetration, self.lambda_touch, self.lambda_pose, self.lambda_smooth)
 
     def units(self) -> int:
         return self.iterations

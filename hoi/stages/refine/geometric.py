@@ -36,7 +36,8 @@ class Geometric(WindowedRefinement):
             from hoi.refine.window import WindowedPose
 
             pose = WindowedPose(meeting.motion, meeting.window, device)
-            minimise(pose, Geometry(meeting, self, device), self, stage)
+            minimise(pose, Geometry(meeting, self.weights, device), self.iterations, stage)
             return pose.motion()
 
-        return refined(scene, state, self, config.stage.contact.d_contact, improve, stage)
+        distance = config.stage.contact.d_contact
+        return refined(scene, state, self.half_width, distance, improve, stage, self.needed_above)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -11,14 +12,16 @@ from omegaconf import MISSING
 
 from hoi.errors import under
 from hoi.stages.contract import LARGEST_PICTURE, SMALLEST_PICTURE, Draft, Requirements, option
-from hoi.stages.refine import RefineWhen, WindowedRefinement
+from hoi.stages.refine import WindowedRefinement
 from hoi.video_prior.files import EMBEDDED_PICTURE, check_video_prior
 
 if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import Motion, Scene, State
     from hoi.refine.meeting import Meeting
+    from hoi.refine.window import Window
     from hoi.reports import Stage
+    from hoi.video_prior import VideoPrior
 
 
 class VideoPriorKind(StrEnum):
@@ -109,10 +112,10 @@ class VideoSDS(WindowedRefinement):
         distance = config.stage.contact.d_contact
 
         def improve(meeting: Meeting) -> Motion:
-            from hoi.method.video_sds import memory_may_run_out, video_sds
+            from hoi.method.video_sds import memory_may_run_out
             from hoi.video_prior import load_video_prior
 
-            nearest = Nearest(meeting, distance, self.tolerance) if self.when is RefineWhen.needed else None
+            nearest = None if self.needed_above is None else Nearest(meeting, distance, self.needed_above)
             with memory_may_run_out(), under(self.key, "prior", "checkpoint", "width", "clip_frames", "half_width"):
                 prior = load_video_prior(
                     self.prior,
@@ -124,8 +127,40 @@ class VideoSDS(WindowedRefinement):
                     offload=self.offload,
                 )
                 prior.prepare(config.scene.scene_prompt, config.scene.negative_prompt)
-                where = {"seed": config.seed, "device": device, "stage": stage}
-                improved = video_sds(prior, scene, state, meeting.window, self, **where, enough=nearest)
+                improved = self.distilled(prior, scene, state, meeting.window, config.seed, device, stage, nearest)
             return improved if nearest is None else nearest.kept(stage)
 
-        return refined(scene, state, self, distance, improve, stage)
+        return refined(scene, state, self.half_width, distance, improve, stage, self.needed_above)
+
+    def distilled(
+        self,
+        prior: VideoPrior,
+        scene: Scene,
+        state: State,
+        window: Window,
+        seed: int,
+        device: str,
+        stage: Stage,
+        enough: Callable[[Motion], bool] | None = None,
+    ) -> Motion:
+        """`hoi.method.video_sds.video_sds` with these settings."""
+        from hoi.method.video_sds import Timesteps, Viewpoints, geometry_beside, video_sds
+
+        assert state.trajectory is not None
+        return video_sds(
+            prior,
+            scene,
+            state,
+            window,
+            timesteps=Timesteps(self.t_min, self.t_max, self.t_max_end, self.t_max_iterations),
+            looks=Viewpoints(self.viewpoints, self.elevation, self.distance),
+            guidance=self.guidance,
+            rescale=self.guidance_rescale,
+            iterations=self.iterations,
+            learning_rate=self.learning_rate,
+            seed=seed,
+            device=device,
+            stage=stage,
+            others=geometry_beside(scene, state.trajectory, self.weights, self.lambda_geometry, device),
+            enough=enough,
+        )
