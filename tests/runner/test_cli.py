@@ -11,7 +11,6 @@ import av
 import numpy as np
 import pytest
 import torch
-from hoi.runner.progress import Stages
 
 from analysis.metrics import METRICS
 from analysis.records import load
