@@ -52,7 +52,7 @@ def run(
             go, `config.material` what they are made of.
         out: folder for the record and its video, where they are found again when asked for once more; None keeps all in
             memory, and draws no video.
-        progress: show bars on stderr.
+        progress: show bars on stderr, and of a run with `out` what came of it.
 
     Returns:
         the run: `state.motion`, `state.trajectory`, `state.contact`, `result["outcome"]`, ...
@@ -61,9 +61,13 @@ def run(
         InputError: bad input, before anything is computed.
         RunError: the run failed.
     """
+    import torch
+
     from hoi.runner.execute import run_one
 
-    return run_one(config, object, None if out is None else Path(out), progress)
+    cloud = None if object is None else _checked(object)
+    with torch.random.fork_rng(devices=[]):
+        return run_one(config, cloud, None if out is None else Path(out), progress)
 
 
 def simulate(
@@ -111,7 +115,7 @@ def simulate(
         raise InputError("seconds and fps", f"{seconds:g} and {fps:g}", "greater than 0")
     named = material if isinstance(material, str) else "soft_solid"
     config = compose(f"material={named}", f"stage.object.cells_across={cells_across}")
-    made = material_of(config.material) if isinstance(material, str) else material
+    made, cloud = material_of(config.material) if isinstance(material, str) else material, _checked(cloud)
     centre = (cloud.means.min(0) + cloud.means.max(0)) / 2
     size = float(np.ptp(cloud.means, axis=0).max())
     spacing = config.stage.object.cell(size) / PARTICLES_PER_CELL ** (1 / 3)
@@ -122,7 +126,7 @@ def simulate(
     check_clear(thing, {"the ground" if not number else f"plane {number}": p for number, p in enumerate(planes)})
     frames = round(seconds * fps) + 1
     world = World(thing, frames, fps, np.array(gravity, np.float64), tuple(planes))
-    return free_motion(world, config.stage.object.mover(thing.size, threads, device), quiet())[0]
+    return free_motion(world, config.stage.object.mover(thing.size, threads, _device(device)), quiet())[0]
 
 
 def sample_motion(
@@ -147,9 +151,12 @@ def sample_motion(
         InputError: an unknown person, a prior that cannot be loaded, a number of frames that is not allowed.
         RunError: the motion is not finite.
     """
+    import torch
+
     from hoi.runner.sample import drawn
 
-    return drawn(prompt, body, seed, frames, checkpoint, guidance, device)[0]
+    with torch.random.fork_rng(devices=[]):
+        return drawn(prompt, body, seed, frames, checkpoint, guidance, _device(device))[0]
 
 
 def render(
@@ -164,12 +171,12 @@ def render(
     """Gaussians as a picture: RGB in [0, 1], (height, width, 3).
 
     Args:
-        camera: None looks at all of it, 720 by 480 pixels; `hoi.render.cameras` makes others.
+        camera: None looks at all of it from its front and side, 720 by 480 pixels; `hoi.render.cameras` has others.
         background: a grey or a colour in [0, 1].
         sh_degree: highest degree of the harmonics; None is all.
 
     Raises:
-        InputError: a camera or a degree that is not allowed, or a backend that cannot run here.
+        InputError: no Gaussians, a background or a degree that is not allowed, or a backend that cannot run here.
     """
     import torch
 
@@ -178,12 +185,14 @@ def render(
     from hoi.render.rasterise import rasterise
     from hoi.render.splats import from_cloud, join
 
-    clouds = [cloud] if isinstance(cloud, GaussianCloud) else list(cloud)
+    clouds = [_checked(each) for each in ([cloud] if isinstance(cloud, GaussianCloud) else cloud)]
+    if not clouds:
+        raise InputError("cloud: holds no Gaussian")
     if camera is None:
         points = np.concatenate([each.means for each in clouds])
         camera = frame_action(points, VIEWS["three_quarter"])
     colour = (background,) * 3 if isinstance(background, float | int) else tuple(background)
-    splats = join([from_cloud(each, device=device) for each in clouds])
+    splats = join([from_cloud(each, device=_device(device)) for each in clouds])
     with torch.no_grad():
         drawn = rasterise(splats, camera, colour, sh_degree=sh_degree, backend=backend)
     return drawn.colour.clamp(0, 1).cpu().numpy()
@@ -216,3 +225,37 @@ def write(run: Run, path: str | Path, human_points: int = 6000) -> None:
 
     points = (None, None) if run.scene is None else viewing_points(run.scene, run.state, human_points)
     write(replace(run), Path(path), *points, plan_text=format_plan(run.plan))
+
+
+def _checked(cloud: GaussianCloud) -> GaussianCloud:
+    """A cloud as `hoi.data.GaussianCloud` describes it.
+
+    Raises:
+        InputError: it holds no Gaussian, an array of another shape, or a number that is not finite.
+    """
+    count = len(cloud)
+    if count == 0:
+        raise InputError("cloud: holds no Gaussian")
+    shapes = {"means": [(3,)], "quaternions": [(4,)], "scales": [(3,)], "opacities": [()]}
+    shapes["sh"] = [((degree + 1) ** 2, 3) for degree in range(4)]
+    for name, array in vars(cloud).items():
+        allowed = [(count, *shape) for shape in shapes[name]]
+        if np.shape(array) not in allowed:
+            raise InputError(f"cloud.{name}: shape {np.shape(array)}; must be {' or '.join(map(str, allowed))}")
+        if not np.isfinite(array).all():
+            raise InputError(f"cloud.{name}: holds numbers that are not finite")
+    return cloud
+
+
+def _device(wanted: str) -> str:
+    """ "cpu" or "cuda".
+
+    Raises:
+        InputError: another name, or there is no such device.
+    """
+    from hoi.config import Device
+    from hoi.runner.jobs import pick_device
+
+    if wanted not in list(Device):
+        raise InputError(f"device {wanted!r}: allowed are {', '.join(Device)}")
+    return pick_device(Device(wanted))

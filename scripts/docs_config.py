@@ -37,7 +37,8 @@ A run is composed from `conf/config.yaml` and one file of each group below; ever
 default and must be given; `null` is none. *paper* is what `experiment=paper` takes, where that differs; *unit* is - for
 a number that has none. What is out of range is refused in one line before anything is computed.
 
-This page is made from the schemas in `hoi/config/` and the files in `conf/`, with their comments as the sources.
+This page is made from the schemas in `hoi/config/` and the options in `hoi/stages/`, named under each heading, and the
+files in `conf/`, with their comments as the sources.
 """
 
 
@@ -173,19 +174,19 @@ class Sources:
             name, kind = f"{path}.{field.name}".lstrip("."), inner_type(hints[field.name])
             nested, many = is_dataclass(kind), is_list(hints[field.name])
             if many or not nested:
-                yield self._key(name, field, kind, texts.get(field.name, ""))
+                yield self._key(name, field, kind, texts.get(field.name, ""), file_of(schema))
             if nested and path:
                 yield from self.keys(kind, f"{name}[]" if many else name)
 
-    def _key(self, path: str, field: Field, kind: Any, description: str) -> Key:
+    def _key(self, path: str, field: Field, kind: Any, description: str, schema_file: str) -> Key:
         unit, about = unit_and_text(description)
         if isinstance(kind, type) and issubclass(kind, Enum):
             about = f"{about} Choices: {', '.join(f'`{choice.value}`' for choice in kind)}."
         if "[]" in path:  # of an entry of a list, which is empty by default
             default = field.default if field.default is not MISSING else field.default_factory()  # pyright: ignore
-            return Key(path, unit, "" if is_dataclass(default) else value_text(default), "", about, "`hoi/config`")
+            return Key(path, unit, "" if is_dataclass(default) else value_text(default), "", about, f"`{schema_file}`")
         default, papers = (value_text(written(config, path)) for config in (self.config, self.paper))
-        file, comment = self.files.get(path, Setting("hoi/config", ""))
+        file, comment = self.files.get(path, Setting(schema_file, ""))
         source = f"`{file}`: {comment}" if comment and not about.startswith(comment) else f"`{file}`"
         return Key(path, unit, default, papers if papers != default else "", about, source)
 
@@ -230,8 +231,13 @@ def _sections() -> Iterator[Section]:
             papers = paper if OmegaConf.get_type(OmegaConf.select(paper, path)) is schema else chosen
             here = files | dict(settings(CONF / group / f"{option}.yaml", path))
             rows = tuple(Sources(chosen, papers, here).keys(schema, path))
-            about = " ".join((schema.__doc__ or "").split())
+            about = f"{' '.join((schema.__doc__ or '').split())} In `{file_of(schema)}`."
             yield Section(group, f"`{group}={option}`", about, rows)
+
+
+def file_of(schema: type) -> str:
+    """Where a schema, or an option with its checks, plan and run, stands in the repository."""
+    return str(Path(inspect.getfile(schema)).relative_to(CONF.parent))
 
 
 @cache
@@ -293,7 +299,7 @@ def page() -> str:
             parts.append(f"## {section.group or section.title}")
             about = f"{section.title}: {about}" if section.group else about
         last = section.group
-        parts += [about, table(section.keys)]
+        parts += [about, table(section.keys) if section.keys else ""]
     parts.append(option_list(last))
     for group in NO_KEYS:
         parts += [f"## {group}", option_list(group)]

@@ -95,9 +95,9 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
-    replays = [side_by_side.load(path, options.device) for path in options.records]
+    runs, replays = zip(*(side_by_side.load(path, options.device) for path in options.records), strict=True)
     clock = side_by_side.make_clock(replays, options.frames or slice(None), options.speed, options.freeze)
-    labels = side_by_side.labels_of([each.run for each in replays], options.records)
+    labels = side_by_side.labels_of(runs, options.records)
     panels = side_by_side.make_panels(replays, labels, options.view, options.size, clock)
     video = options.out
     if not (options.out or options.png or options.cameras):

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.config import Config
-from hoi.config.validate import to_config
+from hoi.config.validate import to_config, with_materials
 from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
@@ -47,7 +46,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
     with ExitStack() as held:
         to_do, records = [], []
         for each, of_seed in seeds(composed, config):
-            facts = provenance(each, of_seed, overrides)
+            facts = provenance(of_seed, overrides)
             path = Path(each.out) / RECORD
             records.append(path)
             if not already_there(each, path, facts["config_hash"]):
@@ -88,13 +87,13 @@ def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progr
         config = replace(config, object=replace(config.object, size=size, stable=False, shape=None, path=None))
     plan = make_plan(config)
     structured = OmegaConf.structured(config)
-    facts = provenance(config, structured, [])
+    facts = provenance(structured, [])
     if cloud is not None:
         digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in vars(cloud).values()))
         facts["sha256.object"] = digest.hexdigest()
         facts["config_hash"] = hashlib.sha256((facts["config_hash"] + digest.hexdigest()).encode()).hexdigest()
     path = None if out is None else out / RECORD
-    job = Job(config, path, OmegaConf.to_yaml(structured, resolve=True), facts)
+    job = Job(config, path, OmegaConf.to_yaml(structured, resolve=True), facts, tells=progress)
     with ExitStack() as held:
         if path is not None:
             held.enter_context(alone(path.parent))
@@ -125,7 +124,8 @@ def is_finished(composed: DictConfig) -> bool:
 
 
 def seeds(composed: DictConfig, config: Config) -> Iterator[tuple[Config, DictConfig]]:
-    """The config of each seed: that of a run of this seed alone, in a folder of its own."""
+    """The config of each seed: that of a run of this seed alone, in a folder of its own; as it is recorded."""
+    composed = with_materials(composed)
     if config.seeds == 1:
         yield config, composed
         return
@@ -158,7 +158,7 @@ def record_failure(composed: DictConfig, overrides: list[str], reason: str) -> N
         with alone(folder):
             if (folder / RECORD).exists() or (folder / FAILED).exists():
                 continue
-            facts = provenance(cast(Config, of_seed), of_seed, overrides)
+            facts = provenance(of_seed, overrides)
             result = {"status": "failed", "outcome": reason, "variant": variant}
             plan = Plan(variant, (), (), ())
             text = OmegaConf.to_yaml(of_seed, resolve=True)

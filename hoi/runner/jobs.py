@@ -42,6 +42,8 @@ class Job:
     """Of the record; the video goes beside it, as .mp4. None: the run is not recorded."""
     config_yaml: str
     provenance: dict[str, str]
+    tells: bool = True
+    """Whether stderr is told what came of it."""
 
 
 def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject | None = None) -> list[Run]:
@@ -128,11 +130,13 @@ def finish(walk: Walk, number: int, job: Job, failure: RunError | None, shared: 
     )
     if job.path is not None:
         record(finished, job.path, config.human_points, video, footage)
+        if job.tells:
+            print(*scene.thing.notes, summary(finished.result), sep="\n", file=sys.stderr)
     return finished, failure
 
 
 def record(run: Run, path: Path, human_points: int, video: "Video | None", footage: Footage | None) -> None:
-    """Write the video and the record, `run.failed.mcap` of a run that failed; say what came of it.
+    """Write the video and the record, `run.failed.mcap` of a run that failed.
 
     The record comes last: where it is, the run is finished, and its video there.
     """
@@ -147,8 +151,6 @@ def record(run: Run, path: Path, human_points: int, video: "Video | None", foota
         write_mp4(video, path.with_suffix(".mp4"))
     points = viewing_points(run.scene, run.state, human_points)
     write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
-    for line in (*run.scene.thing.notes, summary(run.result)):
-        print(line, file=sys.stderr)
 
 
 def run_error(error: Exception) -> RunError:

@@ -91,7 +91,7 @@ def drawn(
     settings = replace(settings, checkpoint=None if checkpoint is None else str(checkpoint))
     if guidance is not None:
         settings = replace(settings, sample_guidance=guidance)
-    person = load_person(body) if isinstance(body, str) else body
+    person = load_person(body, seed=seed) if isinstance(body, str) else body
     ground, gravity = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0])), np.array([0.0, 0.0, -9.81])
     scene = Scene("sample", person, None, prompt, frames, FPS, gravity, (ground,))
     distillation = load_distillation(scene, settings, device, clip=clip)

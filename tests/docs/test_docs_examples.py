@@ -34,6 +34,27 @@ def example(name: str):
     return module
 
 
+@pytest.mark.parametrize(
+    ("name", "says", "leaves"),
+    [
+        ("whole_method", "contact by right_foot", []),
+        ("object_alone", "basketball: ", []),
+        ("person_alone", "right leg: up to ", []),
+        ("picture", "", ["picture.png"]),
+        ("plot_record", "", ["kick", "kick.png"]),
+    ],
+)
+def test_an_example_of_the_python_api_runs_in_an_empty_folder(name, says, leaves, tmp_path):
+    file = EXAMPLES / f"{name}.py"
+    assert len([line for line in file.read_text().splitlines() if line]) <= 12
+    shutil.copy(file, tmp_path)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, file.name], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert says in done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name != file.name) == leaves
+
+
 def test_every_example_is_shown():
     pages = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
     files = [file.relative_to(ROOT) for file in EXAMPLES.rglob("*.*") if "__pycache__" not in file.parts]
@@ -74,15 +95,15 @@ def test_a_video_prior_pulls_a_clip_to_what_it_believes():
     assert inside[2] < 0 and bool((inside[[0, 1, 3, 4]] > 0).all()), "it fades where it is and appears where it is not"
 
 
-def test_a_stage_option_from_the_patch(tmp_path):
-    """The patch applies to the tree as it is, and what it adds runs, is planned and is labelled."""
+def test_a_stage_option_is_a_file_of_python_and_a_file_of_values(tmp_path):
+    """Dropped into the tree as it is, both make an option that is planned, labelled and runs."""
     leave = shutil.ignore_patterns("__pycache__")
     for folder in ("hoi", "conf", "hydra_plugins"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=leave)
-    patch = ["git", "apply", "--unidiff-zero", "--whitespace=nowarn", str(EXAMPLES / "ballistic.patch")]
-    environment = os.environ | {"GIT_DIR": str(tmp_path / "none"), "PYTHONPATH": str(tmp_path), "OMP_NUM_THREADS": "1"}
-    applied = subprocess.run(patch, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert applied.returncode == 0, applied.stderr
+    for file in ("hoi/stages/object/ballistic.py", "conf/stage/object/ballistic.yaml"):
+        assert not (ROOT / file).exists()
+        shutil.copy(EXAMPLES / file, tmp_path / file)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "OMP_NUM_THREADS": "1"}
     quick = "experiment=smoke stage/motion=none stage/refine=none stage.coordinate.iterations=1 human.gaussians=1000"
     quick = f"{quick} scene.frames=8 scene.contact_frame=4 object.max_gaussians=500"
     run = [sys.executable, "-m", "hoi.run", "scene=punch_blue_ball", "stage/object=ballistic", *quick.split()]
