@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from demo_run import cloud_of
+from bodies import cloud_of
 from omegaconf import DictConfig
 
 from hoi import gaussians

@@ -6,8 +6,8 @@ import torch
 
 from hoi.body.kinematics import joint_positions
 from hoi.data import Target
+from hoi.gaussians import fibonacci_sphere
 from hoi.method.attraction import attraction_loss, choose_target, strike_offset, window
-from tests.method.test_contact import sphere
 
 
 def test_target_is_the_busiest_joint_at_its_fastest():
@@ -57,8 +57,8 @@ def test_carried_strike_brings_skin_to_skin_and_keeps_the_swing():
     """A round limb whose joint is off its centre, striking a ball along +Y: at the meeting the two spheres touch."""
     com = np.array([0.0, 2, 0.5])
     path = np.array([0.0, 1, 0.5]) + np.arange(-2, 3)[:, None] * [0, 0.4, 0]
-    limb = path[2] + np.array([0, 0.02, 0]) + sphere(0.05, 2000)
-    goal = path + strike_offset(com, com + sphere(0.11, 4000), limb, path, 2)
+    limb = path[2] + np.array([0, 0.02, 0]) + 0.05 * fibonacci_sphere(2000)
+    goal = path + strike_offset(com, com + 0.11 * fibonacci_sphere(4000), limb, path, 2)
     np.testing.assert_allclose(goal[2], [0, 2 - 0.11 - 0.05 - 0.02, 0.5], atol=2e-3)
     np.testing.assert_allclose(np.diff(goal, axis=0), np.diff(path, axis=0), atol=1e-12)
 
@@ -70,5 +70,7 @@ def test_meeting_is_the_end_of_the_fastest_step():
 
 def test_carried_strike_of_a_still_limb_comes_from_where_it_is():
     com, path = np.array([0.0, 2, 0.5]), np.tile([0.0, 1, 0.5], (5, 1))
-    goal = path + strike_offset(com, com + sphere(0.11, 4000), path[2] + sphere(0.05, 2000), path, 2)
+    goal = path + strike_offset(
+        com, com + 0.11 * fibonacci_sphere(4000), path[2] + 0.05 * fibonacci_sphere(2000), path, 2
+    )
     np.testing.assert_allclose(goal, np.tile([0, 2 - 0.11 - 0.05, 0.5], (5, 1)), atol=2e-3)

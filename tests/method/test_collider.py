@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import HAND, carried, cloud_of, fist
 
 from hoi.body.capsules import Capsules, carry, fit_capsule, fit_capsules, surface_distance
 from hoi.body.limb_collider import limb_collider, outside, spacing
@@ -11,7 +12,7 @@ from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_frames, posed_means, stand_motion
 from hoi.config.validate import to_config
-from hoi.data import Body, GaussianCloud, Material, Motion, Plane, Scene, SceneObject
+from hoi.data import Material, Motion, Plane, Scene, SceneObject
 from hoi.errors import InputError, RunError
 from hoi.gaussians import fibonacci_sphere
 from hoi.method.contact import find_contact
@@ -25,7 +26,6 @@ from hoi.reports import Stages
 
 SOFT = Material("soft", "neo_hookean", 1e5, 0.3, 100.0, 0.6, 0.5)
 BALL_RADIUS, DX = 0.1, 0.025
-HAND = JOINT_NAMES.index("left_hand")
 
 
 # --- fit -------------------------------------------------------------------------------------------------------------
@@ -249,33 +249,19 @@ def test_the_push_does_not_depend_on_the_frame_of_reference():
 # --- from the scene --------------------------------------------------------------------------------------------------
 
 
-def fist(radius: float = 0.05) -> Body:
-    """A body whose only skin is a ball around the left hand; all joints sit at the origin of the rest frame."""
-    means = radius * fibonacci_sphere(300)
-    count = len(means)
-    weights = np.zeros((count, 24))
-    weights[:, HAND] = 1
-    turns = np.tile([1.0, 0, 0, 0], (count, 1))
-    cloud = GaussianCloud(means, turns, np.full((count, 3), 0.005), np.ones(count), np.zeros((count, 1, 3)))
-    return Body("fist", cloud, weights, np.zeros((24, 3)))
-
-
 def punch(start, velocity, frames: int = 8, fps: float = 20.0) -> tuple[Scene, Motion]:
     """A ball that lies still in empty space without gravity, and a fist on its way."""
     points, volumes = ball(centre=(0, 0, 1))
     surface = BALL_RADIUS * fibonacci_sphere(1500) + [0, 0, 1]
     count = len(surface)
-    cloud = GaussianCloud(surface, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.005), np.ones(count),
-                          np.zeros((count, 1, 3)))  # fmt: skip
+    cloud = cloud_of(surface, 0.005, opacity=1, dtype=np.float64)
     total = volumes.sum()
     share = 1e-3 * total / count
     thing = SceneObject("ball", cloud, np.concatenate([surface, points]),
                         np.concatenate([np.full(count, share), 0.999 * volumes]), SOFT, np.zeros(3), np.zeros(3),
                         2 * BALL_RADIUS)  # fmt: skip
     scene = Scene("punch", fist(), thing, "a person punches a ball", frames, fps, np.zeros(3))
-    path = np.asarray(start, float) + np.arange(frames)[:, None] / fps * np.asarray(velocity, float)
-    orientation = np.tile([1.0, 0, 0, 0, 1, 0], (frames, 1))
-    return scene, Motion(path, orientation, np.zeros((frames, 23, 3)), fps)
+    return scene, carried(start, velocity, frames, fps)
 
 
 def search(scene: Scene, motion: Motion):

@@ -2,48 +2,29 @@
 
 import numpy as np
 import pytest
+from bodies import HAND, carried, cloud_of, fist
 
-from hoi.data import Body, GaussianCloud, Material, Motion, ObjectTrajectory, Scene, SceneObject
+from hoi.data import Body, Material, Motion, ObjectTrajectory, Scene, SceneObject
+from hoi.gaussians import fibonacci_sphere
 from hoi.method.contact import find_contact, impulse, touch
 
 FPS, FRAMES = 20.0, 12
-RADIUS, LIMB_RADIUS, HAND = 0.11, 0.05, 22
+RADIUS, LIMB_RADIUS = 0.11, 0.05
 
 
-def sphere(radius: float, count: int) -> np.ndarray:
-    """Evenly spread points, (count, 3)."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    ring = np.sqrt(1 - z**2)
-    return radius * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=-1)
-
-
-def cloud_at(means: np.ndarray) -> GaussianCloud:
-    n = len(means)
-    quaternions = np.tile([1.0, 0, 0, 0], (n, 1))
-    return GaussianCloud(means, quaternions, np.full((n, 3), 0.005), np.ones(n), np.zeros((n, 1, 3)))
-
-
-@pytest.fixture
-def fist() -> Body:
-    """A body whose only skin is a ball around the left hand; all joints sit at the origin of the rest frame."""
-    means = sphere(LIMB_RADIUS, 400)
-    weights = np.zeros((len(means), 24))
-    weights[:, HAND] = 1
-    return Body("fist", cloud_at(means), weights, np.zeros((24, 3)))
+@pytest.fixture(name="fist")
+def fist_of_this_size() -> Body:
+    return fist(400, LIMB_RADIUS)
 
 
 def moving(start, velocity) -> Motion:
-    """A body carried along a line, unturned."""
-    path = np.asarray(start, float) + np.arange(FRAMES)[:, None] / FPS * np.asarray(velocity, float)
-    orientation = np.tile([1.0, 0, 0, 0, 1, 0], (FRAMES, 1))
-    return Motion(path, orientation, np.zeros((FRAMES, 23, 3)), FPS)
+    return carried(start, velocity, FRAMES, FPS)
 
 
 def ball(velocity=(0.0, 0.0, 0.0)) -> ObjectTrajectory:
     com = np.array([0.0, 0, 1]) + np.arange(FRAMES)[:, None] / FPS * np.asarray(velocity)
     return ObjectTrajectory(
-        positions=com[:, None] + sphere(RADIUS, 4000),
+        positions=com[:, None] + RADIUS * fibonacci_sphere(4000),
         com=com,
         com_velocity=np.tile(np.asarray(velocity, float), (FRAMES, 1)),
         energy=np.zeros((FRAMES, 3)),
@@ -54,7 +35,7 @@ def search(body, motion, trajectory, between_frames=True):
     means, zero = trajectory.positions[0], np.zeros(3)
     material = Material("ball", "neo_hookean", 1e5, 0.3, 1.0, 0.6, 0.5)
     volumes = np.full(len(means), 0.43 / len(means))  # 0.43 kg
-    thing = SceneObject("ball", cloud_at(means), means, volumes, material, zero, zero, 2 * RADIUS)
+    thing = SceneObject("ball", cloud_of(means, 0.005), means, volumes, material, zero, zero, 2 * RADIUS)
     scene = Scene("strike", body, thing, "", FRAMES, FPS, zero)
     return find_contact(scene, motion, trajectory, tau=0.05, distance=0.01, between_frames=between_frames)
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from bodies import cloud_of
 
 from hoi.body.kinematics import leg_length
 from hoi.body.skinning import stand_motion
@@ -12,14 +13,13 @@ from hoi.data import Body
 from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise
 from hoi.motion import features
 from hoi.reports import Stage
-from tests.method.test_contact import cloud_at
 
 FRAMES = 8
 
 
 @pytest.fixture
 def body(skeleton) -> Body:
-    return Body("bones", cloud_at(np.zeros((1, 3))), np.eye(1, 24), skeleton)
+    return Body("bones", cloud_of(np.zeros((1, 3)), 0.005), np.eye(1, 24), skeleton)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from bodies import splats_of
 from refine_scenes import FRAMES, HIT, refine, struck
 
 from hoi.config.validate import to_config
@@ -22,8 +23,7 @@ from hoi.reports import Stages
 def ball(centre: tuple[float, float, float], radius: float, count: int = 3000) -> Splats:
     points = np.random.default_rng(0).normal(size=(count, 3))
     points = radius * points / np.linalg.norm(points, axis=1, keepdims=True) + centre
-    sigma = 0.004**2 * torch.eye(3).expand(count, 3, 3)
-    return Splats(torch.from_numpy(points).float(), sigma, torch.full((count,), 0.9), torch.rand(count, 4, 3))
+    return splats_of(points, 0.004, torch.rand(count, 4, 3))
 
 
 CAMERA = viewpoint(Framing(np.zeros(3), 0.28), 0.0, width=64, height=48)
