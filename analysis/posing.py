@@ -63,12 +63,3 @@ def posed_means(body: Body, motion: Motion) -> Array:
     corrections = np.einsum("nif,tf->tni", body.pose_directions, feature)
     turns = np.einsum("nk,tkij->tnij", body.skinning_weights, rotations)
     return (posed + np.einsum("tnij,tnj->tni", turns, corrections)).astype(np.float32)
-
-
-def interpolate(over_frames: Array, frame: float) -> Array:
-    """(T, ...) at a fractional frame, linearly."""
-    first = min(int(frame), len(over_frames) - 1)
-    second = min(first + 1, len(over_frames) - 1)
-    if frame == first:
-        return over_frames[first]
-    return over_frames[first] + (frame - first) * (over_frames[second] - over_frames[first])

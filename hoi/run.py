@@ -10,7 +10,13 @@ from hoi.callable import called
 
 called(__name__)
 
-if __name__ == "__main__":
+
+def main() -> None:
+    """The command line; see `hoi.runner.main`."""
     from hoi.runner.main import main
 
+    main()
+
+
+if __name__ == "__main__":
     main()

@@ -3,6 +3,7 @@
 import numpy as np
 import roma
 import torch
+from bodies import cloud_of, ground
 
 from hoi.body.kinematics import forward_kinematics, local_rotations
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
@@ -11,13 +12,11 @@ from hoi.data import (
     Check,
     Contact,
     ContactSearch,
-    GaussianCloud,
     Material,
     Motion,
     ObjectTrajectory,
     Omission,
     Plan,
-    Plane,
     Run,
     Scene,
     SceneObject,
@@ -26,7 +25,7 @@ from hoi.data import (
     Step,
     Target,
 )
-from hoi.gaussians import fibonacci_sphere, sh_from_colours
+from hoi.gaussians import fibonacci_sphere
 
 LEFT = {"hip": (0.09, -0.08, 0), "knee": (0.1, -0.48, 0), "ankle": (0.1, -0.88, -0.03), "foot": (0.12, -0.94, 0.1)}
 LEFT |= {"collar": (0.08, 0.40, 0), "shoulder": (0.18, 0.42, 0), "elbow": (0.45, 0.42, 0), "wrist": (0.70, 0.42, 0)}
@@ -36,7 +35,6 @@ RADII = {"hip": 0.08, "knee": 0.075, "ankle": 0.055, "foot": 0.045, "collar": 0.
 RADII |= {"wrist": 0.04, "hand": 0.04, "spine": 0.13, "neck": 0.06, "head": 0.06}
 SKIN, SHIRT, SHORTS, SHOE = (0.80, 0.60, 0.48), (0.75, 0.16, 0.16), (0.16, 0.20, 0.35), (0.1, 0.1, 0.1)
 BALL_RADIUS = 0.11
-GROUND = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=0.5)
 
 
 def rest_joints() -> np.ndarray:
@@ -78,19 +76,8 @@ def person(rng: np.random.Generator, points: int) -> Body:
         shirt = any(part in name for part in ("spine", "collar", "shoulder")) or ("elbow" in name)
         shorts = any(part in name for part in ("hip", "knee"))
         rgb[rows] = SHIRT if shirt else SHORTS if shorts else SHOE if "foot" in name else SKIN
-    cloud = cloud_of(means, rgb + rng.normal(0, 0.015, (points, 1)), 0.01)
+    cloud = cloud_of(means, 0.01, rgb + rng.normal(0, 0.015, (points, 1)))
     return Body("capsules", cloud, weights.astype(np.float32), joints, "made up")
-
-
-def cloud_of(means: np.ndarray, rgb: np.ndarray, scale: float) -> GaussianCloud:
-    count = len(means)
-    return GaussianCloud(
-        means=means.astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        scales=np.full((count, 3), scale, np.float32),
-        opacities=np.full(count, 0.9, np.float32),
-        sh=sh_from_colours(np.clip(rgb, 0, 1)),
-    )
 
 
 def kick(frames: int, fps: float, contact_frame: float) -> Motion:
@@ -155,7 +142,7 @@ def ball(rng: np.random.Generator, gaussians: int, particles: int, centre: np.nd
     volume = 4 / 3 * np.pi * BALL_RADIUS**3 / particles
     return SceneObject(
         name="ball",
-        cloud=cloud_of(points[:gaussians], rgb, 0.006),
+        cloud=cloud_of(points[:gaussians], 0.006, rgb),
         particles=points.astype(np.float32),
         volumes=np.full(particles, volume, np.float32),
         material=material,
@@ -229,7 +216,7 @@ def make_run(
         ),
         reports=(StageReport("motion", 1.0, 50, {"loss": 0.25, "gap": float("inf")}, ("converged",)),),
         history=({"stage": "motion", "iteration": 0.0, "loss": 0.1 + 0.2}, {"stage": "coordinate", "attraction": 1e-9}),
-        scene=Scene("kick_ball", body, thing, "a person kicks", frames, fps, np.array([0, 0, -9.81]), (GROUND,)),
+        scene=Scene("kick_ball", body, thing, "a person kicks", frames, fps, np.array([0, 0, -9.81]), (ground(),)),
         state=State(
             motion=motion,
             trajectory=trajectory,

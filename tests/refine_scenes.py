@@ -48,3 +48,8 @@ def struck(shape: str = "soccer_ball", size: float = 0.22, depth: float = 0.03) 
     zero, fast = np.zeros(3), SPEED * forward
     push = Contact(float(HIT), FOOT, 0.1, toe, forward, fast, zero, SPEED, fast, zero, 0.0)
     return scene, State(motion=motion, trajectory=trajectory, contact=ContactSearch((push,), 0.0, float(HIT), FOOT))
+
+
+def refine(scene, state, config, device: str, stage) -> Motion:
+    """Stage 3 of a config."""
+    return config.stage.refine.refine(scene, state, config, device, stage)

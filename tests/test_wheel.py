@@ -14,7 +14,6 @@ import pytest
 from hoi import __version__
 from tests.conftest import ROOT
 
-pytestmark = pytest.mark.slow
 SMOKE = ["experiment=smoke", "render=video", "render.width=96", "render.height=64"]
 
 

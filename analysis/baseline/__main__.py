@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.interrupt import interruptible
 
 
 def main() -> None:

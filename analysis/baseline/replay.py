@@ -9,6 +9,7 @@ from hoi.body.skeleton import JOINT_COUNT, LIMBS
 from hoi.body.skinning import joint_paths
 from hoi.config import Approach, Config
 from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, State, Target
+from hoi.frames import at_frame
 from hoi.method.approach import approach
 from hoi.method.attraction import choose_target, reach_gap
 from hoi.reports import Stages
@@ -99,9 +100,7 @@ def carried_on(scene: Scene, free: ObjectTrajectory, contact: Contact) -> Object
     """The object as in `free` until t_c, then on a straight line with V_human: no mass, no gravity, no ground."""
     frames = np.arange(scene.frames)
     moved = free.com - free.com[0]
-    first = int(contact.frame)
-    share, second = contact.frame - first, min(first + 1, scene.frames - 1)
-    met = moved[first] + share * (moved[second] - moved[first])
+    met = at_frame(moved, contact.frame)
     after = frames >= contact.frame
     since = (frames - contact.frame)[:, None] / scene.fps
     moved = np.where(after[:, None], met + contact.v_human * since, moved)

@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, Ablation, Config, register
 from hoi.config.compose import one_line
-from hoi.config.validate import to_config
+from hoi.config.validate import to_config, with_materials
 from hoi.data import Plan, Run, Step
 from hoi.errors import InputError, RunError
 from hoi.motion.text import default_cache, minilm
@@ -21,9 +21,9 @@ from hoi.plan import make_plan
 from hoi.reports import Stages
 from hoi.runner.execute import RECORD, already_there
 from hoi.runner.jobs import outcome, peak_memory_mb, pick_device, record, torch_threads
-from hoi.runner.progress import bar
 from hoi.runner.provenance import provenance
 from hoi.runner.scene import build_scene
+from hoi.terminal.progress import bar
 
 from .clips import Clip, clips_of, nearest, shipped_clips, with_mirrored
 from .replay import replayed
@@ -46,13 +46,14 @@ def execute(composed: DictConfig, overrides: list[str], folder: Path | None) -> 
         RunError: the run failed.
     """
     started = time.perf_counter()
+    composed = with_materials(composed)
     composed.experiment = EXPERIMENT
     config = to_config(composed)
     if config.ablation is not Ablation.full or config.stage.contact.name == "none":
         raise InputError(f"ablation={config.ablation.value}: the baseline has no parts to leave out; say ablation=full")
     clips = with_mirrored(shipped_clips() if folder is None else clips_of(folder))
     clip, caption, likeness = nearest(config.scene.motion_prompt, clips, minilm(default_cache()))
-    facts = provenance(config, composed, overrides) | {"ablation": "", "clip": clip.name, "clip_caption": caption}
+    facts = provenance(composed, overrides) | {"ablation": "", "clip": clip.name, "clip_caption": caption}
     facts["config_hash"] = hashlib.sha256("\n".join([facts["config_hash"], VARIANT, clip.name]).encode()).hexdigest()
     path = Path(config.out) / RECORD
     if already_there(config, path, facts["config_hash"]):

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 from . import meshes
 

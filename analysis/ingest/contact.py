@@ -5,9 +5,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from hoi.data import Array, Contact, ContactSearch
+from hoi.frames import at_frame
 from hoi.method.contact import impulse
-
-from ..posing import interpolate
 
 Rows = NDArray[np.integer]
 
@@ -32,7 +31,7 @@ def find_contact(
     contacts: list[Contact] = []
     touched = False
     for frame in _tests(skin, surface, distance):
-        limb, thing = interpolate(skin, frame), interpolate(surface, frame)
+        limb, thing = at_frame(skin, frame), at_frame(surface, frame)
         low, high = thing.min(axis=0) - distance, thing.max(axis=0) + distance
         near = np.flatnonzero(np.all((limb >= low) & (limb <= high), axis=1))
         rows = near if len(near) else np.arange(len(limb))
@@ -57,10 +56,10 @@ def _contact(
     back = min(1.0, frame)
     v_human = v_object = np.zeros(3)
     if back > 0:
-        v_human = ((interpolate(skin, frame) - interpolate(skin, frame - back))[rows] * (fps / back)).mean(axis=0)
-        v_object = (interpolate(com, frame) - interpolate(com, frame - back)) * (fps / back)
+        v_human = ((at_frame(skin, frame) - at_frame(skin, frame - back))[rows] * (fps / back)).mean(axis=0)
+        v_object = (at_frame(com, frame) - at_frame(com, frame - back)) * (fps / back)
     point = points.mean(axis=0)
-    normal = interpolate(com, frame) - point
+    normal = at_frame(com, frame) - point
     normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
     v_in, v_post = impulse(v_human, v_object, normal, restitution)
     return {

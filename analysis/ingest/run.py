@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.body.skeleton import JOINT_COUNT
-from hoi.config import CONF, Ablation, Config, register
+from hoi.config import CONF, Ablation, Config
+from hoi.config.compose import composed as composed_of
 from hoi.config.validate import to_config
 from hoi.data import Array, Body, ContactSearch, GaussianCloud, ObjectTrajectory, Plan, Run, Scene, State, Step
 from hoi.errors import InputError
@@ -79,7 +79,7 @@ def ingest(options: argparse.Namespace) -> Path:
     found = _physical(config, person, thing, options) if person is not None and thing is not None else None
 
     inputs = {name: getattr(options, name) for name in ("video", "person", "object")}
-    facts = provenance(config, composed, []) | {"ablation": "", "overrides": ""}
+    facts = provenance(composed, []) | {"ablation": "", "overrides": ""}
     facts |= {f"sha256.ingest.{name}": _digest(file) for name, file in inputs.items() if file is not None}
     told = [facts["config_hash"], options.system, *(facts.get(f"sha256.ingest.{name}", "") for name in inputs)]
     facts["config_hash"] = hashlib.sha256("\n".join(told).encode()).hexdigest()
@@ -145,9 +145,7 @@ def _scene_config(name: str) -> DictConfig:
     known = sorted(file.stem for file in (CONF / "scene").glob("*.yaml"))
     if name not in known:
         raise InputError(f"--scene {name}: allowed are {', '.join(known)}")
-    register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", [f"scene={name}", "render=none"])
+    return composed_of(f"scene={name}", "render=none")
 
 
 def _meshes(options: argparse.Namespace, fps: float) -> tuple[meshes.MeshSequence, meshes.MeshSequence]:

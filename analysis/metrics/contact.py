@@ -7,9 +7,9 @@ import numpy as np
 
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Contact
+from hoi.frames import at_frame
 from hoi.refine.fidelity import object_at
 
-from ..posing import interpolate
 from ..records import Record, Undefined
 from .meeting import Meeting, Shape, d_contact, meeting
 from .metric import NAN
@@ -155,7 +155,7 @@ def _at_contact(record: Record) -> Array | None:
     rows, frame = joints == push.joint, min(push.frame, len(trajectory.positions) - 1.0)
     if not rows.any() or len(trajectory.positions) < 2:
         return None
-    return Shape(scene.thing).distance(object_at(trajectory, push, scene.fps, frame), interpolate(skin, frame)[rows])
+    return Shape(scene.thing).distance(object_at(trajectory, push, scene.fps, frame), at_frame(skin, frame)[rows])
 
 
 def _smallest_distance(record: Record) -> float:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array, SceneObject
+from hoi.frames import at_frame
 from hoi.refine.fidelity import SUBFRAMES, object_at
 from hoi.refine.surface import Surface, surface_of
 
-from ..posing import interpolate
 from ..records import Record
 
 REACH = 0.02
@@ -84,7 +84,7 @@ def meeting(record: Record) -> Meeting | None:
     by_joint, touching = np.zeros((count, JOINT_COUNT), bool), np.zeros(count, bool)
     shape = Shape(scene.thing)
     for index, frame in enumerate(frames):
-        points, particles = interpolate(skin, frame), object_at(trajectory, push, scene.fps, float(frame))
+        points, particles = at_frame(skin, frame), object_at(trajectory, push, scene.fps, float(frame))
         outside = particles[: len(scene.thing.cloud)]
         rows = _within(points, outside.min(axis=0) - REACH, outside.max(axis=0) + REACH)
         if not len(rows):

@@ -6,9 +6,10 @@ import numpy as np
 
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Plane
+from hoi.frames import at_frame
 from hoi.refine.fidelity import object_at
 
-from ..posing import interpolate, joint_frames
+from ..posing import joint_frames
 from ..records import Record, Undefined
 from .contact import push_of
 from .hulls import hulls_of
@@ -41,7 +42,7 @@ def person_object_volume(record: Record) -> float:
         particles = object_at(trajectory, push, scene.fps, float(frame))
         inside = np.zeros(len(particles), bool)
         for hull in hulls:  # between frames the blend of two poses, as the skin is
-            turn, place = interpolate(rotations[:, hull.joint], frame), interpolate(positions[:, hull.joint], frame)
+            turn, place = at_frame(rotations[:, hull.joint], frame), at_frame(positions[:, hull.joint], frame)
             rest = scene.body.rest_joints[hull.joint]
             corners = (hull.corners() - rest) @ turn.T + place
             near = np.all((particles >= corners.min(axis=0)) & (particles <= corners.max(axis=0)), axis=1)

@@ -12,6 +12,7 @@ from hoi.body.skeleton import CHAINS, JOINT_NAMES
 from hoi.body.skinning import joint_frames
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
 from hoi.errors import RunError
+from hoi.frames import at_frame
 from hoi.mpm.collider import Collider
 
 NEAR = 0.1
@@ -46,7 +47,7 @@ def limb_collider(
 
     def clear(limb: tuple[Capsules, Array, Array], at: int) -> bool:
         capsules, starts, ends = limb
-        return outside(_particles_at(free, frames[at]), starts[at], ends[at], capsules.radii)
+        return outside(at_frame(free.positions, frames[at]), starts[at], ends[at], capsules.radii)
 
     striker = next(chain for chain, joints in CHAINS.items() if contact.joint in joints)
     limbs = [paths(striker)]
@@ -105,9 +106,3 @@ def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> l
         return bool((apart <= NEAR).any())
 
     return [chain for chain, joints in CHAINS.items() if any(comes_near(j) for j in joints if j in limbs.joints)]
-
-
-def _particles_at(free: ObjectTrajectory, frame: float) -> Array:
-    first = min(int(frame), len(free.positions) - 2)
-    before, after = free.positions[first], free.positions[first + 1]
-    return before + (frame - first) * (after - before)

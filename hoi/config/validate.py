@@ -15,12 +15,10 @@ from hoi.stages.contract import Requirements
 def to_config(composed: DictConfig) -> Config:
     """The composed, checked configuration as dataclasses.
 
-    In `composed`, so in what is recorded and hashed, the regions' materials are filled in.
-
     Raises:
         InputError: a missing value, or anything `validate` finds; one line a problem.
     """
-    fill_in_materials(composed)
+    composed = with_materials(composed)
     missing = sorted(OmegaConf.missing_keys(composed))
     if missing:
         raise InputError(f"{', '.join(missing)}: no value given")
@@ -31,12 +29,15 @@ def to_config(composed: DictConfig) -> Config:
     return config
 
 
-def fill_in_materials(composed: DictConfig) -> None:
-    """Put the whole material in the place of each region's (see `hoi.config.RegionConf`).
+def with_materials(composed: DictConfig) -> DictConfig:
+    """The same with the whole material in the place of each region's (see `hoi.config.RegionConf`): what is recorded.
 
     Raises:
         InputError: an unknown name or field, or a value of the wrong type.
     """
+    if not composed.object.regions:
+        return composed
+    composed = composed.copy()
     for index, region in enumerate(composed.object.regions):
         where = f"object.regions.{index}.material"
         if OmegaConf.is_missing(region, "material"):
@@ -51,6 +52,7 @@ def fill_in_materials(composed: DictConfig) -> None:
             region.material = OmegaConf.merge(base, material)
         except OmegaConfBaseException as error:
             raise InputError(f"{where}: {str(error).splitlines()[0]}") from None
+    return composed
 
 
 def _preset(name: str, where: str) -> Any:

@@ -13,8 +13,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from hoi.errors import InputError, RunError
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 CHOICES = {
     "glb": ("scene.glb", "glTF 2.0: skinned person and moving object, for Blender, three.js, game engines"),

@@ -15,6 +15,7 @@ from hoi.body.footing import Footing, slide, stances, sunk
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Scene, State, Target
+from hoi.frames import at_frame
 from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise, stream_generators
 from hoi.reports import Stage
 
@@ -234,12 +235,8 @@ def reach_gap(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target
     gap = math.inf
     limbs = posed_means(scene.body, motion, frames=frames, subset=limb_gaussians(scene.body, target.joint))
     for frame, skin in zip(frames, limbs, strict=True):
-        before, share = int(frame), frame % 1
-        after = min(before + 1, scene.frames - 1)
-        surface, com = (
-            (1 - share) * path[before] + share * path[after]
-            for path in (trajectory.positions[:, : len(scene.thing.cloud)], trajectory.com)
-        )
+        surface = at_frame(trajectory.positions[:, : len(scene.thing.cloud)], frame)
+        com = at_frame(trajectory.com, frame)
         distance, nearest = KDTree(surface).query(skin)
         inside = ((skin - surface[nearest]) * (surface[nearest] - com)).sum(axis=1) < 0
         gap = min(gap, float(np.where(inside, 0.0, distance).min()))

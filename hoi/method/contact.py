@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from hoi.body.limbs import Limbs
 from hoi.body.skinning import joint_paths
 from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, SceneObject
+from hoi.frames import at_frame
 
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
@@ -75,7 +76,7 @@ def find_contact(
     contacts: list[Contact] = []
     touched_before: set[int] = set()
     for frame, candidates in _tests(limbs, surface, distance, between_frames):
-        object_now = _at(surface, frame)
+        object_now = at_frame(surface, frame)
         touching: dict[int, _Touch] = {}
         for joint, limb in candidates.items():
             found = touch(limb, object_now, distance)
@@ -103,8 +104,8 @@ def _contact(
     thing: SceneObject,
 ) -> Contact:
     assert found.point is not None
-    v_object = _at(trajectory.com_velocity, frame)
-    towards_com = _at(trajectory.com, frame) - found.point
+    v_object = at_frame(trajectory.com_velocity, frame)
+    towards_com = at_frame(trajectory.com, frame) - found.point
     length = np.linalg.norm(towards_com)
     if length < 1e-6:  # the limb is at the centre of mass: push the way it moves
         towards_com = v_human - v_object
@@ -115,19 +116,12 @@ def _contact(
     return Contact(frame, joint, found.fraction, found.point, normal, v_human, v_object, v_in, v_post, given, found.gap)
 
 
-def _at(over_frames: Array, frame: float) -> Array:
-    """Linear interpolation of (T, ...) at a fractional frame."""
-    first = min(int(frame), len(over_frames) - 1)
-    second = min(first + 1, len(over_frames) - 1)
-    return over_frames[first] + (frame - first) * (over_frames[second] - over_frames[first])
-
-
 def _joint_velocity(path: Array, frame: float, fps: float) -> Array:
     """V_human = (p(t_c) - p(t_c - 1)) / dt [m/s]; the paper's dt = 1 is one frame. Path (T, 3) at whole frames [m]."""
     back = min(1.0, frame)
     if back == 0.0:
         return np.zeros(3)
-    return (_at(path, frame) - _at(path, frame - back)) * (fps / back)
+    return (at_frame(path, frame) - at_frame(path, frame - back)) * (fps / back)
 
 
 def _smallest_gap(limbs: Limbs, surface: Array) -> tuple[float, float, int]:

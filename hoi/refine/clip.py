@@ -14,7 +14,7 @@ from torch import Tensor
 
 from hoi.body.skeleton import JOINT_COUNT, PARENTS
 from hoi.body.skinning import joint_paths
-from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Plan, Run, Scene, State
+from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Scene, State
 from hoi.refine.silhouettes import coverage, silhouettes
 from hoi.refine.views import Framing, background, ring
 from hoi.refine.window import Window
@@ -22,7 +22,7 @@ from hoi.render import cameras
 from hoi.render.cameras import Camera
 from hoi.render.film import has_floor
 from hoi.render.rasterise import rasterise, render_frames
-from hoi.render.replay import Replay, person_tensors, posed, replay
+from hoi.render.replay import Replay, person_tensors, posed
 from hoi.render.splats import Splats, join
 
 SIDEWAYS = math.radians(50)
@@ -55,7 +55,7 @@ class Clip:
         places = [place for place, frame in enumerate(frames) if frame in window.frames]
         self.changing = slice(places[0], places[-1] + 1)
         """Places in the clip of the window's frames."""
-        self._shown = _replay(scene, motion, trajectory, device)
+        self._shown = Replay(scene, State(motion, trajectory), device)
         self._device, self._floor = device, has_floor(scene)
         rows = np.array(window.frames)
         self._translation, self._orientation, before = (
@@ -205,8 +205,3 @@ def subset(body: Body, rows: np.ndarray) -> Body:
         skinning_weights=body.skinning_weights[rows],
         pose_directions=directions,
     )
-
-
-def _replay(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, device: torch.device | str) -> Replay:
-    run = Run("", {}, {}, Plan("", (), (), ()), (), (), scene, State(motion=motion, trajectory=trajectory))
-    return replay(run, device)

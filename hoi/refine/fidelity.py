@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hoi.data import Array, Contact, ObjectTrajectory, SceneObject
+from hoi.frames import at_frame
 from hoi.refine.surface import Surface, surface_of
 
 SUBFRAMES = 6
@@ -59,7 +60,7 @@ def object_at(trajectory: ObjectTrajectory, push: Contact | None, fps: float, fr
         if frame <= push.frame:
             return coming
         return leaving if frame >= over else coming + (frame - push.frame) / (over - push.frame) * (leaving - coming)
-    return before + (frame - first) * (after - before)
+    return at_frame(trajectory.positions, frame)
 
 
 def surfaces_near(

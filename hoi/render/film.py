@@ -88,8 +88,7 @@ def has_floor(scene: Scene) -> bool:
 def _backdrops(
     replay: Replay, frames: Sequence[int], cameras: Sequence[Camera], device: torch.device | str
 ) -> Iterator[Tensor]:
-    scene = replay.run.scene
-    floor = scene is not None and has_floor(scene)
+    floor = has_floor(replay.scene)
     backdrop, last_camera = None, None
     shadows: dict[int, tuple[Shadow, ...]] = {}
     parts: tuple[Splats, ...] = ()  # those that `shadows` belong to are kept alive, so that their ids stay theirs

@@ -147,7 +147,7 @@ def make_strip(panels: Sequence[Panel], clock: Clock, path: Path, how: Drawing =
         InputError: the path cannot be written to.
         RunError: the disk is full or broken.
     """
-    search = panels[0].replay.run.state.contact
+    search = panels[0].replay.state.contact
     first = None if search is None or not search.contacts else search.push or search.contacts[0]
     contact = None
     if first is not None:  # its place among the moments that are shown
@@ -179,12 +179,12 @@ def labels_of(runs: Sequence[Run], paths: Sequence[Path]) -> list[str]:
     return ["/".join(part for part in each if part not in shared) or each[-1] for each in parts]
 
 
-def load(path: Path, device: str) -> Replay:
-    """The run of a record.
+def load(path: Path, device: str) -> tuple[Run, Replay]:
+    """The run of a record, and what it shows.
 
     Raises:
         InputError: as `hoi.record.read`, or it has nothing to show.
     """
     run = record.read(path)
     with about(path):
-        return replay(run, device)
+        return run, replay(run, device)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from hoi import gaussians
 from hoi.body.skinning import BodyTensors, body_tensors, pose_gaussians, posed_means
-from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run
+from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, Scene, State
 from hoi.render.action import Action
 from hoi.render.shown import scene_of
 from hoi.render.splats import Splats, from_cloud
@@ -165,16 +165,19 @@ class _MovingObject:
 
 
 class Replay:
-    """What a run shows in each frame; made by `replay`.
+    """What a person in motion and an object show in each frame, whichever there is; `replay` is that of a run.
 
     Frames may be asked for in any order; in sequence they cost least.
     """
 
-    def __init__(self, person: _MovingPerson | None, thing: _MovingObject | None, run: Run, fps: float) -> None:
-        self.run = run
-        self.fps = fps
-        shown = {"person": person, "object": thing}
-        self._parts = {name: part for name, part in shown.items() if part is not None}
+    def __init__(self, scene: Scene, state: State, device: torch.device | str = "cpu") -> None:
+        self.scene, self.state = scene, state
+        self.fps = scene.fps
+        self._parts: dict[str, _MovingPerson | _MovingObject] = {}
+        if state.motion is not None:
+            self._parts["person"] = _MovingPerson(scene.body, state.motion, device)
+        if state.trajectory is not None:
+            self._parts["object"] = _MovingObject(scene.thing.cloud, state.trajectory, device)
         self.frames: int = next(iter(self._parts.values())).frames
 
     @property
@@ -205,10 +208,7 @@ def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
     """
-    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
-    person = None if motion is None else _MovingPerson(scene.body, motion, device)
-    thing = None if trajectory is None else _MovingObject(scene.thing.cloud, trajectory, device)
-    return Replay(person, thing, run, scene.fps)
+    return Replay(scene_of(run), run.state, device)
 
 
 def _visible(cloud: GaussianCloud) -> NDArray[np.int_]:

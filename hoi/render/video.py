@@ -17,8 +17,8 @@ from typing import get_args
 from hoi.errors import InputError, RunError
 from hoi.render import Backend
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 CHOICES = (*VIEWS, "turntable", "all")
 
@@ -91,13 +91,13 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     from hoi.files import whole_file
     from hoi.render import panels as side_by_side
-    from hoi.runner.progress import bar
+    from hoi.terminal.progress import bar
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
-    replays = [side_by_side.load(path, options.device) for path in options.records]
+    runs, replays = zip(*(side_by_side.load(path, options.device) for path in options.records), strict=True)
     clock = side_by_side.make_clock(replays, options.frames or slice(None), options.speed, options.freeze)
-    labels = side_by_side.labels_of([each.run for each in replays], options.records)
+    labels = side_by_side.labels_of(runs, options.records)
     panels = side_by_side.make_panels(replays, labels, options.view, options.size, clock)
     video = options.out
     if not (options.out or options.png or options.cameras):

@@ -145,7 +145,7 @@ def _complete(flags: list[str]) -> None:
         if line[1] != "run":
             return  # the shell completes files
         os.environ["COMP_LINE"] = f"hoi {line[2]}"
-    from hoi.run import main as run
+    from hoi.runner.main import main as run
 
     sys.argv = ["hoi", *flags]
     run()

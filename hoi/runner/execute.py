@@ -8,19 +8,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.config import Config
-from hoi.config.validate import to_config
+from hoi.config.validate import to_config, with_materials
 from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
 from hoi.plan import format_plan, make_plan
 from hoi.reports import no_bar
-from hoi.runner.interrupt import gone_when_left
 from hoi.stages.render.none import NoVideo
+from hoi.terminal.interrupt import gone_when_left
 
 RECORD, FAILED, LOCK = "run.mcap", "run.failed.mcap", ".lock"
 
@@ -47,7 +46,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
     with ExitStack() as held:
         to_do, records = [], []
         for each, of_seed in seeds(composed, config):
-            facts = provenance(each, of_seed, overrides)
+            facts = provenance(of_seed, overrides)
             path = Path(each.out) / RECORD
             records.append(path)
             if not already_there(each, path, facts["config_hash"]):
@@ -62,7 +61,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
         if not to_do:
             return records
         from hoi.runner.jobs import Job, run
-        from hoi.runner.progress import bar
+        from hoi.terminal.progress import bar
 
         jobs = [Job(*each) for each in to_do]
         run(jobs, plan, bar)
@@ -76,9 +75,9 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
 def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progress: bool) -> Run:
     """One run from Python; see `hoi.api.run`."""
     from hoi.runner.jobs import Job, run
-    from hoi.runner.progress import bar
     from hoi.runner.provenance import provenance
     from hoi.runner.scene import load_object
+    from hoi.terminal.progress import bar
 
     if config.seeds != 1:
         raise InputError("seeds", config.seeds, "1: call once a seed")
@@ -88,7 +87,7 @@ def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progr
         config = replace(config, object=replace(config.object, size=size, stable=False, shape=None, path=None))
     plan = make_plan(config)
     structured = OmegaConf.structured(config)
-    facts = provenance(config, structured, [])
+    facts = provenance(structured, [])
     if cloud is not None:
         digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in vars(cloud).values()))
         facts["sha256.object"] = digest.hexdigest()
@@ -125,7 +124,8 @@ def is_finished(composed: DictConfig) -> bool:
 
 
 def seeds(composed: DictConfig, config: Config) -> Iterator[tuple[Config, DictConfig]]:
-    """The config of each seed: that of a run of this seed alone, in a folder of its own."""
+    """The config of each seed: that of a run of this seed alone, in a folder of its own; as it is recorded."""
+    composed = with_materials(composed)
     if config.seeds == 1:
         yield config, composed
         return
@@ -158,7 +158,7 @@ def record_failure(composed: DictConfig, overrides: list[str], reason: str) -> N
         with alone(folder):
             if (folder / RECORD).exists() or (folder / FAILED).exists():
                 continue
-            facts = provenance(cast(Config, of_seed), of_seed, overrides)
+            facts = provenance(of_seed, overrides)
             result = {"status": "failed", "outcome": reason, "variant": variant}
             plan = Plan(variant, (), (), ())
             text = OmegaConf.to_yaml(of_seed, resolve=True)

@@ -19,8 +19,8 @@ from hoi.config import CONF, register
 from hoi.config.compose import one_line
 from hoi.errors import InputError, RunError
 from hoi.runner.execute import execute, what_next
-from hoi.runner.interrupt import interruptible
 from hoi.runner.sweep import Ended, run_of_sweep
+from hoi.terminal.interrupt import interruptible
 
 
 def main() -> None:

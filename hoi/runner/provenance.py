@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import subprocess
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.compute import compiler
-from hoi.config import Config
 
 NOT_HASHED = ("out", "overwrite", "plan_only", "seeds")
 """Keys that do not change what is computed (of `seeds`: but for rounding)."""
+FILES = ("path", "skinning", "checkpoint")
+"""Keys whose values are files or folders, wherever they stand."""
 
 
 def config_hash(composed: DictConfig) -> str:
@@ -27,39 +29,39 @@ def config_hash(composed: DictConfig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def provenance(config: Config, composed: DictConfig, overrides: list[str]) -> dict[str, str]:
+def provenance(composed: DictConfig, overrides: list[str]) -> dict[str, str]:
     """Facts known before the run starts, as text."""
     facts = {
-        "seed": str(config.seed),
+        "seed": str(composed.seed),
         "config_hash": config_hash(composed),
         "overrides": " ".join(o for o in overrides if not o.startswith("out=")),
-        "scene": config.scene.name,
-        "ablation": config.ablation.value,
-        "experiment": config.experiment,
+        "scene": composed.scene.name,
+        "ablation": composed.ablation.value,
+        "experiment": composed.experiment,
         "git": git_state(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "cpus": str(os.cpu_count()),
-        "threads": str(config.threads or os.cpu_count()),
-        "device": config.device.value,
+        "threads": str(composed.threads or os.cpu_count()),
+        "device": composed.device.value,
     }
     packages = ("hoi", "torch", compiler(), "numpy", "scipy", "mcap", "av", "hydra-core", "omegaconf", "transformers")
     facts.update({f"version.{name}": version(name) for name in packages})
-    human, skinning = config.human.path, config.human.skinning
-    if human is not None and Path(human).is_dir():  # an avatar's folder
-        human, skinning = f"{human}/gaussians.ply", skinning or f"{human}/skinning.npz"
-    inputs = {
-        "object.path": config.object.path,
-        "human.path": human,
-        "human.skinning": skinning,
-    }
-    for option in config.options:
-        inputs |= {f"{option.key}.{name}": getattr(option, name, None) for name in ("checkpoint", "path")}
-    for name, path in inputs.items():
-        if path is not None and Path(path).exists():
-            facts[f"sha256.{name}"] = digest(Path(path))
-    return facts
+    inputs = dict(_files(OmegaConf.to_container(composed, resolve=True)))
+    human = inputs.get("human.path")
+    if human is not None and human.is_dir():  # an avatar's folder
+        inputs["human.path"] = human / "gaussians.ply"
+        inputs.setdefault("human.skinning", human / "skinning.npz")
+    return facts | {f"sha256.{name}": digest(path) for name, path in inputs.items() if path.exists()}
+
+
+def _files(values: Any, key: str = "") -> Iterator[tuple[str, Path]]:
+    """Dotted key and path of every file or folder that a config names."""
+    for name, value in values.items() if isinstance(values, dict) else ():
+        if name in FILES and isinstance(value, str):
+            yield f"{key}{name}", Path(value)
+        yield from _files(value, f"{key}{name}.")
 
 
 def digest(path: Path) -> str:

@@ -13,8 +13,8 @@ import webbrowser
 from pathlib import Path
 
 from hoi.errors import InputError
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 
 def _port(text: str) -> int:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from demo_run import BALL_RADIUS, GROUND, ball, kick, make_run, person
+from bodies import ground
+from demo_run import BALL_RADIUS, ball, kick, make_run, person
 
 from analysis.baseline import run as baseline
 from analysis.baseline.clips import Clip, clips_of, mirrored, nearest, shipped_clips, with_mirrored
@@ -38,7 +39,7 @@ def scene(position=(0.0, 2.0, 1.0), velocity=(0.0, 0.0, 0.0), frames=40):
     base = make_run(frames=frames)[0].scene
     assert base is not None
     thing = ball(np.random.default_rng(0), 60, 100, np.array(position))
-    return replace(base, frames=frames, object=replace(thing, velocity=np.array(velocity)), planes=(GROUND,))
+    return replace(base, frames=frames, object=replace(thing, velocity=np.array(velocity)), planes=(ground(),))
 
 
 # ---- the clip

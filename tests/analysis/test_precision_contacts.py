@@ -28,8 +28,8 @@ def test_every_way_composes_and_does_what_its_name_says() -> None:
     found = contacts.ways()
     assert len({way.name for way in found}) == len(found)
     for way in found:
-        refine = config_of([f"scene={contacts.SCENES[0]}", *way.overrides]).stage.refine
-        assert ("geometric" in way.kind) == (getattr(refine, "lambda_geometry", 0) > 0 or refine.kind == "geometric")
+        refine = config_of(f"scene={contacts.SCENES[0]}", *way.overrides).stage.refine
+        assert ("geometric" in way.kind) == (getattr(refine, "lambda_geometry", 0) > 0 or refine.name == "geometric")
         if way.kind != "none":
             assert refine.when == ("always" if way.iterations else "needed")
             assert refine.iterations == (way.iterations or 100)

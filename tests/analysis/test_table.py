@@ -143,7 +143,7 @@ def test_names_that_would_be_markup(demo, tmp_path):
     assert "<script>" not in html + markdown and "&lt;script&gt;" in html
     assert "\\input" not in latex and "\\textbackslash{}input\\{x\\}\\&" in latex
     lines = [line for line in markdown.splitlines() if line.startswith("|")]
-    assert all(line.endswith("|") for line in lines)
+    assert lines and all(line.endswith("|") for line in lines)
     assert "'=cmd()" in (tmp_path / "table/table.csv").read_text()
 
 

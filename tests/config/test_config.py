@@ -10,11 +10,16 @@ from hydra.core.singleton import Singleton
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from hoi.config import CONF, HMSDConf, ImpulseConf, MPMConf, VideoConf, View, WindowedConf
+from hoi.config import CONF
 from hoi.config.compose import one_line
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.render.cameras import HEIGHT, VIEWS, WIDTH
+from hoi.stages.attraction.windowed import Windowed
+from hoi.stages.contact import Detection
+from hoi.stages.motion.hmsd import HMSD
+from hoi.stages.object.mpm import MPM
+from hoi.stages.render.video import Video, View
 
 GROUPS = ["human", "object", "material", "scene", "experiment", "ablation", "render"]
 GROUPS += [f"stage/{folder.name}" for folder in sorted((CONF / "stage").iterdir())]
@@ -42,20 +47,20 @@ def test_every_option_composes(composed, option):
 def test_the_papers_numbers(composed):
     config = to_config(composed("experiment=paper"))
     motion, coordinate = config.stage.motion, config.stage.coordinate
-    assert isinstance(motion, HMSDConf)
+    assert isinstance(motion, HMSD)
     assert (motion.iterations, motion.learning_rate, motion.guidance) == (100, 0.005, 7.5)
     assert (motion.t_min, motion.t_max) == (0, 100)
     assert (coordinate.iterations, coordinate.learning_rate, coordinate.lambda_hmsd) == (200, 0.005, 10.0)
     attraction = config.stage.attraction
-    assert isinstance(attraction, WindowedConf)
+    assert isinstance(attraction, Windowed)
     assert (attraction.lambda_attr, attraction.sigma, attraction.target.value) == (1.0, 2.0, "com")
     contact = config.stage.contact
-    assert isinstance(contact, ImpulseConf)
+    assert isinstance(contact, Detection)
     assert (contact.tau, contact.distance) == (0.05, 0.01)
     material = config.material
     assert (material.youngs_modulus, material.poisson_ratio, material.restitution) == (1e7, 0.45, 0.6)
     mover = config.stage.object
-    assert isinstance(mover, MPMConf)
+    assert isinstance(mover, MPM)
     assert (mover.grid, mover.dt) == (64, 4e-5)
     assert mover.dt * 1250 == pytest.approx(1 / config.scene.fps)
     assert (config.scene.frames, config.scene.fps) == (40, 20)
@@ -70,14 +75,14 @@ def test_every_view_can_be_filmed(composed):
     assert [view.value for view in View] == list(VIEWS)
     for name in VIEWS:
         render = to_config(composed(f"render.view={name}")).render
-        assert isinstance(render, VideoConf) and render.view.value == name
+        assert isinstance(render, Video) and render.view.value == name
         assert (render.width, render.height) == (WIDTH, HEIGHT)
 
 
 def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
-    assert to_config(composed()).render.kind.value == "video"
-    assert to_config(composed("experiment=smoke")).render.kind.value == "none"
-    assert to_config(composed("experiment=smoke", "render=video")).render.kind.value == "video"
+    assert to_config(composed()).render.name == "video"
+    assert to_config(composed("experiment=smoke")).render.name == "none"
+    assert to_config(composed("experiment=smoke", "render=video")).render.name == "video"
 
 
 @pytest.mark.parametrize(
@@ -125,6 +130,8 @@ def test_bad_values_are_named(composed, overrides, message):
         ("scene.frame=3", ["frame", "scene"]),
         ("material.youngs_modulus=stiff", ["youngs_modulus", "stiff"]),
         ("stage.motion.iterations=1.5", ["iterations", "1.5"]),
+        ("stage.object.kind=constant_velocity", ["kind", "stage.object"]),
+        ("stage.contact.model=collider", ["model", "stage.contact"]),
         ("render=film", ["render", "film", "video"]),
         ("render.view=left", ["view", "left", "three_quarter"]),
         ("render.backend=cuda", ["backend", "cuda", "taichi"]),

@@ -72,7 +72,7 @@ def test_sequence_is_the_scene_frame_by_frame(run, tmp_path, kind):
     clouds.write_sequence(run, tmp_path / kind, kind)
     assert sorted(p.name for p in (tmp_path / kind).iterdir()) == [f"frame_{i:04d}.{kind}" for i in range(FRAMES)]
     assert [p.name for p in tmp_path.iterdir()] == [kind], "nothing is left beside it"
-    for frame, expected in enumerate(clouds.clouds(run)):
+    for frame, expected in zip(range(FRAMES), clouds.clouds(run), strict=True):
         back = read_gaussians(tmp_path / kind / f"frame_{frame:04d}.{kind}")
         assert np.abs(back.means - expected.means).max() < 1e-4
         trajectory = run.state.trajectory.positions[frame, :60]
@@ -90,7 +90,9 @@ def test_clouds_are_what_the_renderer_draws(run):
     from hoi.render.splats import join
 
     shown = replay(run)
-    for frame, cloud in enumerate(clouds.clouds(run)):
+    made = list(clouds.clouds(run))
+    assert len(made) == FRAMES
+    for frame, cloud in enumerate(made):
         splats = join(shown.parts(frame))
         assert np.abs(cloud.means - splats.means.numpy()).max() < 1e-5
         assert np.abs(covariances(cloud) - splats.covariances.numpy()).max() < 1e-7

@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 import torch
-from hoi.method.scene import load_body
 from hugs_files import Tiny
 from smpl_files import make_model, pickle_model
 
@@ -16,6 +15,7 @@ from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.importers.convert import main, read_betas
 from hoi.importers.smpl import load_smpl
+from hoi.runner.scene import load_body
 
 
 @pytest.fixture

@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 from demo_run import cloud_of
-from hoi.method.scene import load_object
 from omegaconf import DictConfig
 
 from hoi import gaussians
-from hoi.config import Config, MaterialConf, MaterialModel, MPMConf
+from hoi.config import Config, MaterialConf, MaterialModel
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.importers.physgaussian.reader import read_scene_file
 from hoi.importers.scene import Imported, convert, parser, run
 from hoi.mpm.materials import kirchhoff_stress, return_map
 from hoi.plan import make_plan, material_of
+from hoi.runner.scene import load_object
+from hoi.stages.object.mpm import MPM
 
 BALL = {  # as DreamPhysics writes it
     "opacity_threshold": 0.02, "rotation_degree": [90], "rotation_axis": [0], "substep_dt": 1e-4, "frame_dt": 4e-2,
@@ -61,7 +62,7 @@ def block(tmp_path: Path) -> Path:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     shell = ((points == points.min(0)) | (points == points.max(0))).any(1)
     path = tmp_path / "block.ply"
-    gaussians.write_ply(cloud_of(points[shell] + [5, -3, 2], np.full((shell.sum(), 3), 0.5), 0.03), path)
+    gaussians.write_ply(cloud_of(points[shell] + [5, -3, 2], 0.03), path)
     return path
 
 
@@ -108,7 +109,7 @@ def test_physgaussian_sand(imported, capsys):
     assert config.material.friction_angle == pytest.approx(math.radians(30))
     assert config.material.youngs_modulus == 5e7
     mover = config.stage.object
-    assert isinstance(mover, MPMConf) and (mover.cells_across, mover.domain, mover.grid, mover.dt) == (
+    assert isinstance(mover, MPM) and (mover.cells_across, mover.domain, mover.grid, mover.dt) == (
         None,
         2,
         200,
@@ -124,9 +125,9 @@ def test_physgaussian_sand(imported, capsys):
 def test_the_command_line_and_ablations_beat_the_import(imported):
     given = ("object.path=a.ply",)
     assert imported(SAND, overrides=(*given, "material=foam")).material.name == "foam"
-    assert imported(SAND, overrides=(*given, "ablation=no_mpm")).stage.object.kind.value == "constant_velocity"
+    assert imported(SAND, overrides=(*given, "ablation=no_mpm")).stage.object.name == "constant_velocity"
     coarse = imported(SAND, overrides=(*given, "stage/object=mpm_coarse")).stage.object
-    assert isinstance(coarse, MPMConf) and coarse.cells_across == 6
+    assert isinstance(coarse, MPM) and coarse.cells_across == 6
 
 
 def test_the_printed_command_plans(tmp_path, block):

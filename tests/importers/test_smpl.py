@@ -8,7 +8,6 @@ import pytest
 import roma
 import torch
 from demo_run import make_run
-from hoi.method.scene import load_body
 from smpl_files import JOINT, make_model, pickle_model, smpl_vertices
 
 from hoi.body.avatar import load_avatar, save_avatar
@@ -24,6 +23,7 @@ from hoi.errors import InputError
 from hoi.gaussians import colours
 from hoi.importers.smpl import load_smpl, read_smpl
 from hoi.record.parts import scene_files, scene_from_files
+from hoi.runner.scene import load_body
 
 BETAS = (0.8, -1.2, 0.5)
 

@@ -57,7 +57,9 @@ def test_reads_plain_and_pickled_members_of_an_npz(tmp_path):
     np.savez(path, **model | {"J_regressor": np.array(sparse.csc_matrix(model["J_regressor"]), dtype=object)})
     with pytest.raises(ValueError, match="allow_pickle"):
         np.load(path)["J_regressor"]
-    for key, array in read_arrays(path, KEYS).items():
+    arrays = read_arrays(path, KEYS)
+    assert set(arrays) == set(KEYS)
+    for key, array in arrays.items():
         np.testing.assert_array_equal(array, model[key])
 
 

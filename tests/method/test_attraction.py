@@ -6,7 +6,7 @@ import torch
 
 from hoi.body.kinematics import joint_positions
 from hoi.data import Target
-from hoi.method.attraction import attraction_loss, carried_strike, choose_target, meeting_frame, window
+from hoi.method.attraction import attraction_loss, choose_target, strike_offset, window
 from tests.method.test_contact import sphere
 
 
@@ -58,17 +58,17 @@ def test_carried_strike_brings_skin_to_skin_and_keeps_the_swing():
     com = np.array([0.0, 2, 0.5])
     path = np.array([0.0, 1, 0.5]) + np.arange(-2, 3)[:, None] * [0, 0.4, 0]
     limb = path[2] + np.array([0, 0.02, 0]) + sphere(0.05, 2000)
-    goal = carried_strike(com, com + sphere(0.11, 4000), limb, path, 2)
+    goal = path + strike_offset(com, com + sphere(0.11, 4000), limb, path, 2)
     np.testing.assert_allclose(goal[2], [0, 2 - 0.11 - 0.05 - 0.02, 0.5], atol=2e-3)
     np.testing.assert_allclose(np.diff(goal, axis=0), np.diff(path, axis=0), atol=1e-12)
 
 
 def test_meeting_is_the_end_of_the_fastest_step():
-    assert meeting_frame(40, Target(11, 20, "")) == 21
-    assert meeting_frame(40, Target(11, 39, "")) == 39
+    assert Target(11, 20, "").meeting_frame(40) == 21
+    assert Target(11, 39, "").meeting_frame(40) == 39
 
 
 def test_carried_strike_of_a_still_limb_comes_from_where_it_is():
     com, path = np.array([0.0, 2, 0.5]), np.tile([0.0, 1, 0.5], (5, 1))
-    goal = carried_strike(com, com + sphere(0.11, 4000), path[2] + sphere(0.05, 2000), path, 2)
+    goal = path + strike_offset(com, com + sphere(0.11, 4000), path[2] + sphere(0.05, 2000), path, 2)
     np.testing.assert_allclose(goal, np.tile([0, 2 - 0.11 - 0.05, 0.5], (5, 1)), atol=2e-3)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hoi.method.limb_collider import limb_collider, outside, spacing
 
 from hoi.body.capsules import Capsules, carry, fit_capsule, fit_capsules, surface_distance
+from hoi.body.limb_collider import limb_collider, outside, spacing
 from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_frames, posed_means, stand_motion
@@ -14,13 +14,14 @@ from hoi.config.validate import to_config
 from hoi.data import Body, GaussianCloud, Material, Motion, Plane, Scene, SceneObject
 from hoi.errors import InputError, RunError
 from hoi.gaussians import fibonacci_sphere
-from hoi.method import movers
 from hoi.method.contact import find_contact
+from hoi.method.object_motion import at_rest, free_motion
+from hoi.method.resimulation import push_by
 from hoi.mpm.collider import Collider
 from hoi.mpm.solver import Simulation, ground_plane
 from hoi.mpm.state import initial_state
 from hoi.plan import make_plan
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
 
 SOFT = Material("soft", "neo_hookean", 1e5, 0.3, 100.0, 0.6, 0.5)
 BALL_RADIUS, DX = 0.1, 0.025
@@ -81,6 +82,7 @@ def test_capsules_are_carried_as_the_gaussians_are():
     before = surface_distance(body.cloud.means[rigid], capsules.starts, capsules.ends, capsules.radii)
     frames = [0.0, 0.7, 2.0]
     starts, ends = carry(capsules, body.rest_joints, *joint_frames(body, motion, frames))
+    assert len(rigid) > 10
     for points, start, end in zip(posed_means(body, motion, frames, rigid), starts, ends, strict=True):
         np.testing.assert_allclose(surface_distance(points, start, end, capsules.radii), before, atol=2e-4)
 
@@ -278,13 +280,8 @@ def punch(start, velocity, frames: int = 8, fps: float = 20.0) -> tuple[Scene, M
 
 def search(scene: Scene, motion: Motion):
     with Stages().stage("free", 1) as stage:
-        free, states = movers.free_motion(scene, movers.at_rest, stage)
-    joints = np.repeat(np.asarray(motion.translation)[:, None], 24, axis=1)
-    mass = float(scene.object.masses.sum())
-    found = find_contact(
-        scene.body, motion, joints, free, len(scene.object.cloud), mass=mass, restitution=0.6, tau=0.05, distance=0.01,
-        between_frames=True,
-    )  # fmt: skip
+        free, states = free_motion(scene, at_rest, stage)
+    found = find_contact(scene, motion, free, tau=0.05, distance=0.01, between_frames=True)
     assert found.push is not None
     return free, states, found.push
 
@@ -294,10 +291,18 @@ def conf(composed):
     return to_config(composed("stage/contact=collider", "stage.object.cells_across=8"))
 
 
+def pushing(conf) -> dict:
+    return {"samples": conf.stage.contact.samples, "friction": conf.stage.contact.friction}
+
+
+def mover_of(conf):
+    return conf.stage.object.mover(conf.object.size, 1, "cpu")
+
+
 def test_the_collider_starts_at_the_last_moment_clear_of_the_object(conf):
     scene, motion = punch([0, -0.6, 1], [0, 3, 0])
     free, _, contact = search(scene, motion)
-    collider, notes = limb_collider(scene, motion, free, contact, conf.stage.contact)
+    collider, notes = limb_collider(scene, motion, free, contact, **pushing(conf))
     assert notes == ()
     start = collider.times[0] * scene.fps
     assert contact.frame - 3 / conf.stage.contact.samples < start <= contact.frame
@@ -314,7 +319,7 @@ def test_a_limb_that_begins_inside_the_object_is_refused(conf):
     scene, motion = punch([0, -0.12, 1], [0, 3, 0])
     free, _, contact = search(scene, motion)
     with pytest.raises(RunError, match=r"left arm is in the object from the first frame") as caught:
-        limb_collider(scene, motion, free, contact, conf.stage.contact)
+        limb_collider(scene, motion, free, contact, **pushing(conf))
     assert "\n" not in str(caught.value)
 
 
@@ -322,9 +327,9 @@ def test_a_punch_moves_the_ball_and_is_recorded_in_its_contact(conf):
     """Nothing is simulated before the limb comes; then the ball has the momentum that the contact says."""
     scene, motion = punch([0, -0.6, 1], [0, 3, 0])
     free, states, contact = search(scene, motion)
-    collider, _ = limb_collider(scene, motion, free, contact, conf.stage.contact)
+    collider, _ = limb_collider(scene, motion, free, contact, **pushing(conf))
     with Stages().stage("push", 1) as stage:
-        trajectory, pushed = movers.push(scene, free, states, contact, collider, movers.mover(conf, "cpu"), stage)
+        trajectory, pushed = push_by(scene, free, states, contact, collider, mover_of(conf), stage)
     before = int(collider.times[0] * scene.fps) + 1
     assert set(trajectory.phase[:before]) == {"rest"}
     np.testing.assert_array_equal(trajectory.positions[:before], free.positions[:before])
@@ -339,23 +344,23 @@ def test_a_punch_moves_the_ball_and_is_recorded_in_its_contact(conf):
 def test_a_finger_does_not_slip_between_the_particles_of_a_coarse_object(conf):
     scene, motion = punch([0, -0.6, 1], [0, 3, 0])
     free, _, contact = search(scene, motion)
-    fine = limb_collider(scene, motion, free, contact, conf.stage.contact)[0]
+    fine = limb_collider(scene, motion, free, contact, **pushing(conf))[0]
     coarse = replace(scene.object, cloud=replace(scene.object.cloud, means=scene.object.cloud.means * 12))
-    collider, (note,) = limb_collider(replace(scene, object=coarse), motion, free, contact, conf.stage.contact)
+    collider, (note,) = limb_collider(replace(scene, object=coarse), motion, free, contact, **pushing(conf))
     assert spacing(scene.object.cloud.means) < fine.radii.min() < spacing(coarse.cloud.means)
     np.testing.assert_allclose(collider.radii, spacing(coarse.cloud.means))
     assert "thinner" in note
 
 
 def test_the_plan_says_which_model_pushes(composed):
-    steps = {step.name: step for step in make_plan(to_config(composed("stage.contact.model=collider"))).steps}
+    steps = {step.name: step for step in make_plan(to_config(composed("stage/contact=collider"))).steps}
     assert steps["contact"].implementation == "collider" and "moving obstacle" in steps["resimulate"].reason
     steps = {step.name: step for step in make_plan(to_config(composed())).steps}
     assert steps["contact"].implementation == "impulse" and "from t_c" in steps["resimulate"].reason
 
 
 def test_a_collider_needs_the_mpm(composed):
-    with pytest.raises(InputError, match=r"stage\.contact\.model must be impulse where stage/object is constant"):
+    with pytest.raises(InputError, match=r"stage/contact must be impulse where stage/object is constant"):
         to_config(composed("stage/contact=collider", "stage/object=constant_velocity"))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory
+from hoi.data import Body, GaussianCloud, Material, Motion, ObjectTrajectory, Scene, SceneObject
 from hoi.method.contact import find_contact, impulse, touch
 
 FPS, FRAMES = 20.0, 12
@@ -33,11 +33,11 @@ def fist() -> Body:
     return Body("fist", cloud_at(means), weights, np.zeros((24, 3)))
 
 
-def moving(start, velocity) -> tuple[Motion, np.ndarray]:
-    """A body carried along a line, unturned: the motion and its joints (T, 24, 3)."""
+def moving(start, velocity) -> Motion:
+    """A body carried along a line, unturned."""
     path = np.asarray(start, float) + np.arange(FRAMES)[:, None] / FPS * np.asarray(velocity, float)
     orientation = np.tile([1.0, 0, 0, 0, 1, 0], (FRAMES, 1))
-    return Motion(path, orientation, np.zeros((FRAMES, 23, 3)), FPS), np.repeat(path[:, None], 24, axis=1)
+    return Motion(path, orientation, np.zeros((FRAMES, 23, 3)), FPS)
 
 
 def ball(velocity=(0.0, 0.0, 0.0)) -> ObjectTrajectory:
@@ -50,12 +50,13 @@ def ball(velocity=(0.0, 0.0, 0.0)) -> ObjectTrajectory:
     )
 
 
-def search(body, motion_and_joints, trajectory, between_frames=True):
-    motion, joints = motion_and_joints
-    return find_contact(
-        body, motion, joints, trajectory, 4000, mass=0.43, restitution=0.6, tau=0.05, distance=0.01,
-        between_frames=between_frames,
-    )  # fmt: skip
+def search(body, motion, trajectory, between_frames=True):
+    means, zero = trajectory.positions[0], np.zeros(3)
+    material = Material("ball", "neo_hookean", 1e5, 0.3, 1.0, 0.6, 0.5)
+    volumes = np.full(len(means), 0.43 / len(means))  # 0.43 kg
+    thing = SceneObject("ball", cloud_at(means), means, volumes, material, zero, zero, 2 * RADIUS)
+    scene = Scene("strike", body, thing, "", FRAMES, FPS, zero)
+    return find_contact(scene, motion, trajectory, tau=0.05, distance=0.01, between_frames=between_frames)
 
 
 def test_impulse_formula():
@@ -91,7 +92,7 @@ def test_fast_fist_cannot_tunnel(fist, speed):
     start = [0, -0.5 - speed / FPS * 3, 1]
     start[1] += 0.5 * (speed / FPS - 1.0)  # before and after the ball at neighbouring frames
     motion = moving(start, [0, speed, 0])
-    gap_to_centre = np.abs(motion[0].translation[:, 1]).min()
+    gap_to_centre = np.abs(motion.translation[:, 1]).min()
     assert gap_to_centre > RADIUS + LIMB_RADIUS + 0.02
     assert search(fist, motion, ball(), between_frames=False).contacts == ()
     (contact,) = search(fist, motion, ball()).contacts

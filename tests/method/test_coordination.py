@@ -6,55 +6,61 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hoi.method.coordination import BACK_STEP, REACHED, approach, coordinate, find_target, meet
-from hoi.method.scene import build_scene, is_apart
-from hoi.method.synthesis import load_distillation, sample_motions, synthesise
-from hoi.runner.pipeline import outcome
 
 from hoi.body.skinning import joint_paths, stand_motion
-from hoi.config import HMSDConf
+from hoi.config.compose import config_of
 from hoi.config.validate import to_config
-from hoi.data import Motion, State, Target
+from hoi.data import Motion, StageReport, State, Target
 from hoi.errors import InputError, RunError
-from hoi.method import movers
-from hoi.method.approach import shifted
-from hoi.runner.progress import Stage
+from hoi.method.approach import BACK_STEP, approach, shifted
+from hoi.method.attraction import REACHED, Batch, coordinate
+from hoi.method.hmsd import load_distillation, sample_motions, synthesise
+from hoi.method.object_motion import at_rest, free_motion
+from hoi.method.optimization import Walk
+from hoi.method.scene_representation import is_apart
+from hoi.plan import make_plan
+from hoi.reports import Stages, quiet
+from hoi.runner.jobs import outcome
+from hoi.runner.scene import build_scene
+from hoi.stages.motion.hmsd import HMSD
 
 SMALL = ("human.gaussians=2000", "object.max_gaussians=1500", "stage/object=mpm_coarse", "render=none")
 
 
-def quiet(name: str = "") -> Stage:
-    return Stage(name, lambda units: None, [])
-
-
-def free_motion(config):
-    """Stage 1."""
+def stage_1(config):
     scene, conf = build_scene(config), config.stage.motion
-    assert isinstance(conf, HMSDConf)
+    assert isinstance(conf, HMSD)
     distillation = load_distillation(scene, conf, "cpu", config.scene.approach == "stand")
-    return scene, distillation, synthesise(scene, distillation, conf, [config.seed], "cpu", [quiet()])[0]
+    return scene, distillation, synthesise(scene, distillation, conf, [config.seed], [quiet()])[0]
+
+
+def walk_of(config, seeds, distillation, motions) -> Walk:
+    """As far as stage 1, the object at rest."""
+    scene, plan = build_scene(config), make_plan(config)
+    trajectory, _ = free_motion(scene, at_rest, quiet())
+    states = [State(motion, trajectory) for motion in motions]
+    batch = Batch([scene] * len(seeds), seeds, "cpu")
+    return Walk(config, plan, batch, at_rest, [Stages() for _ in seeds], states, (), distillation)
 
 
 def stage_2(config, distillation, motion, target=None):
-    scene, stage = build_scene(config), quiet("coordinate")
-    trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
-    if target is None:
-        motion, target = meet(scene, motion, trajectory, config)
-    (after,) = coordinate([scene], [motion], trajectory, [target], distillation, config, [config.seed], "cpu", [stage])
-    return after, target, stage
+    walk, stage = walk_of(config, [config.seed], distillation, [motion]), quiet("coordinate")
+    (state,), (scene,), options = walk.states, walk.batch.scenes, config.stage
+    state = walk.aimed(scene, state) if target is None else replace(state, target=target)
+    attraction = options.attraction if "attraction" in walk.plan.uses else None
+    (after,) = coordinate(walk.batch, [state], distillation, attraction, options.coordinate, [stage])
+    return after, state.target, stage
+
+
+def find_target(scene, motion, config) -> Target:
+    return config.stage.motion.target(scene, motion, config.scene)
 
 
 @pytest.fixture(scope="module")
 def kick():
     """Prior and motion of the default scene's sentence, drawn only: distilling costs time and changes little here."""
-    from hydra import compose, initialize_config_dir
-
-    from hoi.config import CONF, register
-
-    register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = to_config(compose("config", [*SMALL, "stage.motion.iterations=0", "stage.motion.sample_steps=10"]))
-    _, distillation, motion = free_motion(config)
+    config = config_of(*SMALL, "stage.motion.iterations=0", "stage.motion.sample_steps=10")
+    _, distillation, motion = stage_1(config)
     return distillation, motion
 
 
@@ -78,7 +84,7 @@ def test_out_of_reach_is_said_with_the_gap(composed, kick):
     gap = stage.numbers["reach_gap"]
     assert gap > 1
     report = type("Report", (), {"numbers": stage.numbers})()
-    said = outcome(config, State(motion=after, target=target), [report])  # pyright: ignore[reportArgumentType]
+    said = outcome(config, make_plan(config), State(motion=after, target=target), [report])  # pyright: ignore[reportArgumentType]
     assert said.endswith(f"could not reach the object: {gap:.3f} m short at frame {target.frame}")
 
 
@@ -98,7 +104,7 @@ def test_who_stands_does_not_travel(composed):
         "stage.motion.sample_steps=5",
         "scene.motion_prompt=a person stands and kicks",
     )
-    scene, _, motion = free_motion(to_config(composed(*SMALL, *conf)))
+    scene, _, motion = stage_1(to_config(composed(*SMALL, *conf)))
     np.testing.assert_allclose(motion.translation[:, :2], 0, atol=1e-4)
     assert np.ptp(joint_paths(scene.body, motion)[:, 11], axis=0).max() > 0.1  # but moves
 
@@ -127,7 +133,7 @@ def test_extremes_give_a_finite_motion(composed, extreme):
         composed(*SMALL, "stage.motion.iterations=2", "stage.coordinate.iterations=2",
                  "stage.motion.sample_steps=2", *extreme)
     )  # fmt: skip
-    scene, distillation, free = free_motion(config)
+    scene, distillation, free = stage_1(config)
     after, *_ = stage_2(config, distillation, free)
     assert len(after) == scene.frames
     assert all(np.isfinite(part).all() for part in (after.translation, after.orientation, after.body_pose))
@@ -170,7 +176,7 @@ def test_whoever_would_start_inside_the_object_stands_back(composed, arms_out):
     """The hip is to touch a ball at the right: with a hanging arm between, or one too long to step back from."""
     config = to_config(composed(*SMALL, f"scene.placement.position=[1.2,0,{1.45 if arms_out else 0.9}]"))
     scene = build_scene(config)
-    trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
+    trajectory, _ = free_motion(scene, at_rest, quiet())
     still, hip = stand_motion(scene.body, scene.frames, scene.fps), Target(0, 10, "scene")
     if arms_out:
         t_pose = replace(still, body_pose=np.zeros_like(still.body_pose))
@@ -195,7 +201,7 @@ def test_without_iterations_nothing_moves(composed):
 def test_seeds_differ_and_repeat(composed):
     config = to_config(composed(*SMALL))
     scene, conf = build_scene(config), config.stage.motion
-    assert isinstance(conf, HMSDConf)
+    assert isinstance(conf, HMSD)
     distillation = load_distillation(scene, conf, "cpu")
     first, again, other = (sample_motions(scene, distillation, conf, [seed])[0].body_pose for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
@@ -207,16 +213,14 @@ def test_runs_of_a_batch_are_the_runs_of_their_seeds(composed):
     short = ("stage.motion.iterations=3", "stage.motion.sample_steps=4", "stage.coordinate.iterations=3")
     config = to_config(composed(*SMALL, *short))
     scene, conf, seeds = build_scene(config), config.stage.motion, (3, 1, 4)
-    assert isinstance(conf, HMSDConf)
+    assert isinstance(conf, HMSD)
     distillation = load_distillation(scene, conf, "cpu")
-    trajectory, _ = movers.free_motion(scene, movers.at_rest, quiet())
 
-    def both(seeds) -> tuple[list[Motion], list[Stage]]:
-        stages = [quiet() for _ in seeds]
-        motions = synthesise(scene, distillation, conf, seeds, "cpu", stages)
-        met = [meet(scene, motion, trajectory, config) for motion in motions]
-        motions, targets, scenes = [m for m, _ in met], [target for _, target in met], [scene] * len(seeds)
-        return coordinate(scenes, motions, trajectory, targets, distillation, config, seeds, "cpu", stages), stages
+    def both(seeds) -> tuple[list[Motion], list[StageReport]]:
+        motions = synthesise(scene, distillation, conf, seeds, [quiet() for _ in seeds])
+        walk = walk_of(config, seeds, distillation, motions)
+        walk.coordinate()
+        return [state.motion for state in walk.states], [stages.reports[0] for stages in walk.stages]
 
     together, told = both(seeds)
     for seed, motion, stage in zip(seeds, together, told, strict=True):

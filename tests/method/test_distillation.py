@@ -11,7 +11,7 @@ from hoi.body.skinning import stand_motion
 from hoi.data import Body
 from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise
 from hoi.motion import features
-from hoi.runner.progress import Stage
+from hoi.reports import Stage
 from tests.method.test_contact import cloud_at
 
 FRAMES = 8

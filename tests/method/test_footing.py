@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from hoi.method.footing import FEET, Footing, Stance, slide, stances, sunk
+
+from hoi.body.footing import FEET, Footing, Stance, slide, stances, sunk
 
 FPS = 20.0
 STANDING = np.full(24, 0.5)

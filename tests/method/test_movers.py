@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hoi.method.scene import build_scene
 
 from hoi.config.validate import to_config
 from hoi.data import Contact
 from hoi.errors import RunError
-from hoi.method import movers
+from hoi.method.object_motion import at_rest, free_motion
+from hoi.method.resimulation import resimulate
 from hoi.plan import make_plan
 from hoi.record import read
-from hoi.runner import pipeline
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
+from hoi.runner import jobs
+from hoi.runner.scene import build_scene
+from hoi.stages.object.mpm import MPM
 
 SMALL = ["human.gaussians=1000", "scene.frames=8", "scene.contact_frame=4"]
 COARSE = "stage.object.cells_across=6"
@@ -26,6 +28,10 @@ def scene_of(composed):
         return config, build_scene(config)
 
     return make
+
+
+def mover_of(config):
+    return config.stage.object.mover(config.object.size, 1, "cpu")
 
 
 def contact_at(frame: float, delta_v) -> Contact:
@@ -43,8 +49,8 @@ def test_free_fall_by_mpm(scene_of, spline):
     config, scene = scene_of(
         COARSE, f"stage.object.spline={spline}", "scene.placement.position=[0,2,3]", "scene.placement.velocity=[1,0,2]"
     )
-    move = movers.mover(config, "cpu")
-    trajectory, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    move = mover_of(config)
+    trajectory, states = run_stage(lambda stage: free_motion(scene, move, stage))
     time = np.arange(scene.frames)[:, None] / scene.fps
     expected = trajectory.com[0] + time * [1, 0, 2] + 0.5 * time**2 * [0, 0, -9.81]
     np.testing.assert_allclose(trajectory.com, expected, atol=1e-4)
@@ -57,7 +63,7 @@ def test_what_a_walk_left_out_is_reported(scene_of):
     turning = "scene.placement.angular_velocity=[0,0,2]"
     config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", turning)
     with Stages().stage("test", 1) as stage:
-        movers.free_motion(scene, movers.mover(config, "cpu"), stage)
+        free_motion(scene, mover_of(config), stage)
     numbers = stage.numbers
     seconds = [numbers[f"seconds_{phase}"] for phase in ("mpm", "flight", "rest")]
     assert sum(seconds) == pytest.approx((scene.frames - 1) / scene.fps)
@@ -70,19 +76,18 @@ def test_without_phases_every_step_is_taken(scene_of):
     """The same bits as the solver alone."""
     from hoi.mpm.solver import simulate
     from hoi.mpm.state import initial_state
-    from hoi.plan import cell_size
 
     config, scene = scene_of(COARSE, "stage.object.phases=false", "scene.placement.velocity=[1,0,2]")
     scene = replace(scene, frames=3)
-    move = movers.mover(config, "cpu")
-    trajectory, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    move = mover_of(config)
+    trajectory, states = run_stage(lambda stage: free_motion(scene, move, stage))
     thing, mpm = scene.object, config.stage.object
     plain = simulate(
         initial_state(thing.particles, thing.masses, thing.velocity),
         thing.volumes,
         thing.material,
         times=np.arange(3) / scene.fps,
-        dx=cell_size(mpm, config.object.size),
+        dx=mpm.cell(config.object.size),
         fraction=mpm.limit_fraction,
         planes=scene.planes,
     )
@@ -95,10 +100,10 @@ def test_without_phases_every_step_is_taken(scene_of):
 def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
     """A ball in the air leaves with V_post; the look 1 ms later is no frame and costs no walk of its own."""
     config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
-    move = movers.mover(config, "cpu")
-    free, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    move = mover_of(config)
+    free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     with Stages().stage("test", 1) as stage:
-        struck = movers.resimulate(scene, free, states, contact_at(3.0, [0, 5, 1]), move, stage)
+        struck = resimulate(scene, free, states, contact_at(3.0, [0, 5, 1]), move, stage)
     assert len(struck.com) == len(struck.phase) == scene.frames
     assert stage.numbers["v_post_error"] < 1e-4
     assert stage.numbers["seconds_mpm"] + stage.numbers["seconds_flight"] == pytest.approx(4 / scene.fps)
@@ -108,9 +113,9 @@ def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
 def test_resimulation_starts_at_the_moment_of_contact(scene_of, t_c):
     """A ball at rest in the air without gravity: straight on from t_c with V_post, untouched before."""
     config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
-    move = movers.mover(config, "cpu")
-    free, states = run_stage(lambda stage: movers.free_motion(scene, move, stage))
-    struck = run_stage(lambda stage: movers.resimulate(scene, free, states, contact_at(t_c, [0, 5, 1]), move, stage))
+    move = mover_of(config)
+    free, states = run_stage(lambda stage: free_motion(scene, move, stage))
+    struck = run_stage(lambda stage: resimulate(scene, free, states, contact_at(t_c, [0, 5, 1]), move, stage))
     time = np.maximum(np.arange(scene.frames) - t_c, 0)[:, None] / scene.fps
     np.testing.assert_allclose(struck.com, free.com[0] + time * [0, 5, 1], atol=1e-4)
     np.testing.assert_array_equal(struck.positions[:3], free.positions[:3])
@@ -121,8 +126,8 @@ def test_resimulation_starts_at_the_moment_of_contact(scene_of, t_c):
 
 def test_constant_velocity_is_a_straight_line_without_deformation(scene_of):
     config, scene = scene_of("stage/object=constant_velocity", "scene.placement.velocity=[1,2,3]")
-    move = movers.mover(config, "cpu")
-    trajectory, _ = run_stage(lambda stage: movers.free_motion(scene, move, stage))
+    move = mover_of(config)
+    trajectory, _ = run_stage(lambda stage: free_motion(scene, move, stage))
     time = np.arange(scene.frames)[:, None] / scene.fps
     np.testing.assert_allclose(trajectory.com, trajectory.com[0] + time * [1, 2, 3], atol=1e-9)
     assert trajectory.deformation_gradient is None
@@ -132,7 +137,7 @@ def test_constant_velocity_is_a_straight_line_without_deformation(scene_of):
 
 def test_at_rest_stays(scene_of):
     _, scene = scene_of()
-    trajectory, _ = run_stage(lambda stage: movers.free_motion(scene, movers.at_rest, stage))
+    trajectory, _ = run_stage(lambda stage: free_motion(scene, at_rest, stage))
     assert np.ptp(trajectory.positions, axis=0).max() == 0
     assert set(trajectory.phase) == {"rest"}
 
@@ -146,9 +151,9 @@ def test_a_failed_run_is_recorded_as_failed(composed, tmp_path, monkeypatch):
     def diverge(*_):
         raise RunError("diverged at frame 3; lower stage.object.dt")
 
-    monkeypatch.setattr(movers, "mover", lambda config, device: diverge)
+    monkeypatch.setattr(MPM, "mover", lambda *_: diverge)
     with pytest.raises(RunError, match="diverged"):
-        pipeline.run([pipeline.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
+        jobs.run([jobs.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
     assert [file.name for file in tmp_path.iterdir()] == ["run.failed.mcap"]
     failed = read(tmp_path / "run.failed.mcap")
     assert failed.result["status"] == "failed" and "diverged" in failed.result["outcome"]

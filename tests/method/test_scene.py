@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from hoi.method.scene import build_scene, load_body, load_object
 from omegaconf import OmegaConf
 from scipy.spatial.transform import Rotation
 
@@ -10,6 +9,7 @@ from hoi.config import CONF, MaterialConf
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.plan import make_plan, materials_of
+from hoi.runner.scene import build_scene, load_body, load_object
 
 COARSE = ["stage/object=mpm_coarse", "object.max_gaussians=500", "human.gaussians=1000"]
 

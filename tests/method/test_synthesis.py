@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hoi.method.scene import build_scene
-from hoi.method.synthesis import load_distillation, sample_motions
 
 from hoi.body.skinning import joint_paths, posed_means
-from hoi.config import HMSDConf
 from hoi.config.validate import to_config
 from hoi.errors import RunError
+from hoi.method.hmsd import load_distillation, sample_motions
+from hoi.runner.scene import build_scene
+from hoi.stages.motion.hmsd import HMSD
 from hoi.streams import stream_seed
 
 
@@ -19,7 +19,7 @@ def test_sampled_kick_fits_the_person(composed, person):
     """From the origin, towards +Y, on the ground, with the foot it is told; the child's steps are shorter."""
     config = to_config(composed(f"human={person}", "human.gaussians=2000"))
     scene, conf = build_scene(config), config.stage.motion
-    assert isinstance(conf, HMSDConf)
+    assert isinstance(conf, HMSD)
     distillation = load_distillation(scene, conf, "cpu")
     (motion,) = sample_motions(scene, distillation, conf, [1])
     (again,) = sample_motions(scene, distillation, conf, [1])
@@ -45,6 +45,6 @@ def test_streams_are_named_and_stable():
 def test_sample_that_is_not_finite_fails_the_run(composed):
     config = to_config(composed("human.gaussians=2000", "stage.motion.sample_steps=2"))
     scene, conf = build_scene(config), config.stage.motion
-    assert isinstance(conf, HMSDConf)
+    assert isinstance(conf, HMSD)
     with pytest.raises(RunError, match="not finite; lower"):
         sample_motions(scene, load_distillation(scene, conf, "cpu"), replace(conf, sample_guidance=np.inf), [0])

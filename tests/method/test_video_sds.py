@@ -10,12 +10,10 @@ from demo_run import make_run
 from torch import Tensor
 
 from hoi.body.skinning import pose_means, posed_means
-from hoi.config import VideoSDSConf
-from hoi.config.validate import to_config
 from hoi.data import Motion, Run
 from hoi.errors import InputError, RefineStopped
 from hoi.method import video_sds as sds
-from hoi.method.video_sds import Draws, distil, latest_timestep, predict_z, refine_with, weight
+from hoi.method.video_sds import Draws, distil, latest_timestep, memory_may_run_out, predict_z, video_sds, weight
 from hoi.motion.diffusion import guide
 from hoi.refine.clip import Clip, across, contact_framing, moved_by, subset, viewpoints
 from hoi.refine.views import Framing, ring, viewpoint
@@ -23,7 +21,8 @@ from hoi.refine.window import Window, WindowedPose, window_around
 from hoi.render.cameras import project
 from hoi.render.rasterise import render_frames
 from hoi.render.replay import replay
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
+from hoi.stages.refine.video_sds import VideoSDS
 
 ALPHAS = torch.linspace(0.999, 0.0, 1000, dtype=torch.float64) ** 2
 SIZE = 24
@@ -77,14 +76,14 @@ def gaussian(size: int = 6) -> tuple[Tensor, Tensor, torch.Generator]:
     return torch.randn(size, generator=generator, dtype=torch.float64), 0.1 * root @ root.T, generator
 
 
-def conf(**changes: object) -> VideoSDSConf:
+def conf(**changes: object) -> VideoSDS:
     values: dict = dict(
         iterations=6, learning_rate=0.02, guidance=1.0, guidance_rescale=0.0, t_min=100, t_max=980, t_max_end=300,
         t_max_iterations=4, viewpoints=3, elevation=0.3, distance=None, width=SIZE, height=SIZE, clip_frames=None,
         offload=False, lambda_geometry=0.0, lambda_penetration=1.0, lambda_touch=1.0, lambda_pose=0.0,
         lambda_smooth=0.0,
     )  # fmt: skip
-    return VideoSDSConf(**{**values, **changes})
+    return VideoSDS(**{**values, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +104,7 @@ def clip_of(run: Run, window: Window, frames: list[int]) -> Clip:
 def refine(run: Run, window: Window, prior: GaussianPrior, seed: int = 0, **changes: object):
     stages = Stages()
     with stages.stage("refine", 1) as stage:
-        parts = (run.scene, run.state.motion, run.state.trajectory, window)
-        motion = refine_with(prior, *parts, conf(**changes), seed, "cpu", stage)
+        motion = video_sds(prior, run.scene, run.state, window, conf(**changes), seed=seed, device="cpu", stage=stage)
     return motion, stages
 
 
@@ -322,8 +320,8 @@ def test_it_ends_when_it_is_enough(run: Run, window: Window) -> None:
 
     stages = Stages()
     with stages.stage("refine", 1) as stage:
-        parts = (run.scene, run.state.motion, run.state.trajectory, window)
-        motion = refine_with(prior, *parts, conf(iterations=40), 0, "cpu", stage, enough)
+        settings = {"seed": 0, "device": "cpu", "stage": stage, "enough": enough}
+        motion = video_sds(prior, run.scene, run.state, window, conf(iterations=40), **settings)
         assert stage.notes[-1] == "enough after 3 of 40 iterations"
     assert stages.reports[0].iterations == 3
     assert motion.body_pose.tobytes() == whole.body_pose.tobytes() == seen[-1].body_pose.tobytes()
@@ -364,19 +362,15 @@ def test_what_is_not_finite_stops_the_stage(run: Run, window: Window) -> None:
     "error", [MemoryError(), torch.OutOfMemoryError("CUDA out of memory. Tried\nto allocate"), "DefaultCPUAllocator"]
 )
 def test_out_of_memory_stops_the_stage(
-    run: Run, window: Window, composed, monkeypatch: pytest.MonkeyPatch, error: BaseException | str
+    run: Run, window: Window, monkeypatch: pytest.MonkeyPatch, error: BaseException | str
 ) -> None:
     def refuse(*_: object) -> None:
         raise error if isinstance(error, BaseException) else RuntimeError(f"{error}: can't allocate memory: you tried")
 
     prior, _ = target_of(run, window, turn=0.1)
     monkeypatch.setattr(prior, "encode", refuse, raising=False)
-    monkeypatch.setattr(sds, "load_video_prior", lambda *_, **__: prior)
-    parts = (run.scene, run.state.motion, run.state.trajectory, window)
-    config = to_config(composed("stage/refine=video_sds"))
-    stages = Stages()
-    with stages.stage("refine", 1) as stage, pytest.raises(RefineStopped, match=r"out of memory[^\n]*geometric$"):
-        sds.video_sds(*parts, config, "cpu", stage)
+    with pytest.raises(RefineStopped, match=r"out of memory[^\n]*geometric$"), memory_may_run_out():
+        refine(run, window, prior)
 
 
 def test_geometry_and_smoothness_join_when_the_config_says_so(run: Run, window: Window) -> None:

@@ -8,23 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hoi.method.scene import build_scene
-from hoi.method.synthesis import synthesise
 from matplotlib import pyplot as plt
 
 from analysis import strip
 from hoi import record
 from hoi.body.people import load_person
 from hoi.body.skinning import joint_paths, posed_means
-from hoi.config import HMSDConf
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.importers.motions import read_motion
 from hoi.motion.prior import load_prior
-from hoi.plan import uses_prior
+from hoi.plan import make_plan
 from hoi.render.replay import replay
+from hoi.reports import Stages
 from hoi.runner import sample
-from hoi.runner.progress import Stages
+from hoi.runner.scene import build_scene
+from hoi.stages.motion.hmsd import HMSD
 
 LATENT, FF, LAYERS = 32, 64, 2
 
@@ -157,10 +156,10 @@ def test_stage_1_takes_a_motion_file_as_it_is(composed, tmp_path, monkeypatch):
     assert run(monkeypatch, "a person kicks", "-o", path, "--frames", 30) == 0
     own = ["stage/motion=file", f"stage.motion.path={path}", "stage.motion.start_time=0.25"]
     config = to_config(composed(*own, "stage.coordinate.lambda_hmsd=0", "human.gaussians=2000"))
-    assert not uses_prior(config) and isinstance(config.stage.motion, HMSDConf)
+    assert "motion_prior" not in make_plan(config).uses and isinstance(config.stage.motion, HMSD)
     scene = build_scene(config)
     with Stages().stage("motion", 0) as stage:
-        (motion,) = synthesise(scene, None, config.stage.motion, [0], "cpu", [stage])
+        (motion,) = config.stage.motion.motions(scene, None, [0], [stage])
     expected, _ = read_motion(path, scene.body, 40, 20.0, start_time=0.25)
     np.testing.assert_array_equal(motion.body_pose, expected.body_pose)
     np.testing.assert_array_equal(motion.translation, expected.translation)
@@ -168,7 +167,7 @@ def test_stage_1_takes_a_motion_file_as_it_is(composed, tmp_path, monkeypatch):
     with pytest.raises(
         InputError, match=r"^stage\.motion\.start_time must be in \[0, 1\.45\] s, which .* lasts, got 9$"
     ):
-        synthesise(scene, None, late, [0], "cpu", [stage])
+        late.motions(scene, None, [0], [stage])
     assert len(motion) == 40 and "kick.npz" in stage.notes[0] and "held for 15 of 40 frames" in stage.notes[0]
 
 
@@ -217,7 +216,7 @@ def test_sampled_kick_stands_on_the_ground_and_is_read_as_a_motion_file(tmp_path
     np.testing.assert_allclose(read.body_pose, motion.body_pose, atol=1e-4)
     np.testing.assert_allclose(read.orientation, motion.orientation, atol=1e-4)
     # The one scales by the hips' height, too.
-    np.testing.assert_allclose(read.translation, motion.translation, rtol=0.15, atol=0.06)
+    np.testing.assert_allclose(read.translation, motion.translation, rtol=0.15, atol=0.08)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import ground
 from mpm_bodies import DX, RUBBER, block
 from mpm_examples import EXAMPLES
 from scipy.spatial.transform import Rotation
@@ -17,7 +18,7 @@ from hoi.mpm.solver import Simulation, simulate
 from hoi.mpm.state import angular_momentum, centre_of_mass, initial_state, linear_momentum
 
 STIFF = replace(RUBBER, youngs_modulus=1e6)
-GROUND = Plane(np.zeros(3), np.array([0.0, 0, 1]), friction=STIFF.ground_friction)
+GROUND = ground(STIFF.ground_friction)
 WALL = Plane(np.array([0.6, 0, 0]), np.array([-0.8, 0, 0.6]), "slip")
 GRAVITY = np.array([0, 0, -9.81])
 TOLERANCE = 0.003

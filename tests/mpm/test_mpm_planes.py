@@ -91,11 +91,10 @@ def test_nothing_passes_a_corner():
 @pytest.mark.parametrize("friction", [0.2, 0.8])
 def test_a_box_slides_down_a_slope_of_the_config(composed, friction):
     """From scene.planes to the object's trajectory: at 30 degrees 0.2 lets it slide and 0.8 does not."""
-    from hoi.method.movers import free_motion, mover
-    from hoi.method.scene import build_scene
-
     from hoi.config.validate import to_config
-    from hoi.runner.progress import Stages
+    from hoi.method.object_motion import free_motion
+    from hoi.reports import Stages
+    from hoi.runner.scene import build_scene
 
     axes, point = tilt(30), np.array([0, 2.0, 1.0])
     position = point + 0.201 * axes[:, 2]
@@ -115,7 +114,7 @@ def test_a_box_slides_down_a_slope_of_the_config(composed, friction):
     )
     scene = build_scene(config)
     with Stages().stage("free motion", scene.frames - 1) as stage:
-        trajectory, _ = free_motion(scene, mover(config, "cpu"), stage)
+        trajectory, _ = free_motion(scene, config.stage.object.mover(config.object.size, 1, "cpu"), stage)
     velocity = trajectory.com_velocity @ axes
     acceleration = np.polyfit(np.arange(5, 12) / scene.fps, velocity[5:, 0], 1)[0]
     expected = G * (np.sin(np.pi / 6) - friction * np.cos(np.pi / 6)) if friction < 0.5 else 0.0

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bodies import cloud_of
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -21,13 +22,7 @@ def shell(radius: float = 0.5, count: int = 4000) -> GaussianCloud:
     """A closed ball-shaped cloud, as a good capture of a ball is."""
     normals = gaussians.fibonacci_sphere(count)
     spacing = radius * (4 * np.pi / count) ** 0.5
-    return GaussianCloud(
-        means=(radius * normals).astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        scales=np.full((count, 3), 0.4 * spacing, np.float32),
-        opacities=np.full(count, 0.9, np.float32),
-        sh=gaussians.sh_from_colours(np.full((count, 3), 0.5)),
-    )
+    return cloud_of(radius * normals, 0.4 * spacing)
 
 
 def join(*clouds: GaussianCloud) -> GaussianCloud:

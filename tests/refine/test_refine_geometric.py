@@ -5,21 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hoi.method.refine_stage import contact_window, refine
-from hoi.runner.pipeline import outcome
 
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_paths
-from hoi.config import Config, GeometricConf, WindowConf
+from hoi.config import Config
 from hoi.config.validate import to_config
 from hoi.data import ContactSearch
 from hoi.errors import RefineStopped
+from hoi.plan import make_plan
 from hoi.refine.fidelity import instants
 from hoi.refine.geometric import Geometry, minimise
 from hoi.refine.meeting import meet
+from hoi.refine.stage import contact_window
 from hoi.refine.window import WindowedPose
-from hoi.runner.progress import Stage, Stages
-from tests.refine_scenes import FOOT, HIT, struck
+from hoi.reports import Stage, Stages
+from hoi.runner.jobs import outcome
+from hoi.stages.refine import WindowedRefinement
+from hoi.stages.refine.geometric import Geometric
+from tests.refine_scenes import FOOT, HIT, refine, struck
 
 
 @pytest.fixture
@@ -27,8 +30,8 @@ def config(composed) -> Config:
     return to_config(composed("stage/refine=geometric"))
 
 
-def conf_of(config: Config) -> WindowConf:
-    assert isinstance(config.stage.refine, GeometricConf)
+def conf_of(config: Config) -> WindowedRefinement:
+    assert isinstance(config.stage.refine, Geometric)
     return config.stage.refine
 
 
@@ -153,13 +156,15 @@ def test_a_stop_keeps_the_motion_and_says_so(config, monkeypatch, error, words):
     def stop(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("hoi.method.refine_stage.minimise", stop)
+    monkeypatch.setattr("hoi.refine.geometric.minimise", stop)
     stages = Stages()
     with stages.stage("refine", 1) as stage:
         assert refine(scene, state, config, "cpu", stage) is state.motion
     (report,) = stages.reports
     assert "penetration_before" in report.numbers and "penetration_after" not in report.numbers
-    assert f"stage 3 stopped, the motion from before is kept: {words}" in outcome(config, state, stages.reports)
+    assert f"stage 3 stopped, the motion from before is kept: {words}" in outcome(
+        config, make_plan(config), state, stages.reports
+    )
 
 
 def test_a_loss_that_is_not_finite_stops(config, monkeypatch):

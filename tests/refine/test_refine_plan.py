@@ -2,10 +2,10 @@
 
 import pytest
 
-from hoi.config import VideoSDSConf
 from hoi.config.validate import to_config
 from hoi.errors import InputError
 from hoi.plan import make_plan
+from hoi.stages.refine.video_sds import VideoSDS
 from hoi.video_prior.files import COGVIDEOX_PARTS, VIDEO_PRIOR_NAME
 
 
@@ -53,12 +53,12 @@ def test_only_what_is_needed_is_said(plan):
 
 def test_smoke_refines_briefly(composed):
     conf = to_config(composed("experiment=smoke")).stage.refine
-    assert isinstance(conf, VideoSDSConf) and conf.iterations <= 10
+    assert isinstance(conf, VideoSDS) and conf.iterations <= 10
 
 
 def test_the_papers_stage_3(composed):
     conf = to_config(composed("experiment=paper")).stage.refine
-    assert isinstance(conf, VideoSDSConf)
+    assert isinstance(conf, VideoSDS)
     assert (conf.prior.value, conf.iterations, conf.learning_rate, conf.guidance) == ("cogvideox", 3000, 0.001, 100)
     assert (conf.t_min, conf.t_max, conf.t_max_end, conf.t_max_iterations) == (100, 980, 300, 1000)
     assert (conf.height, conf.width, conf.clip_frames, conf.viewpoints, conf.half_width) == (480, 720, 49, 100, 1)

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hoi.method.refine_stage import contact_window, refine
-from refine_scenes import FRAMES, HIT, struck
+from refine_scenes import FRAMES, HIT, refine, struck
 
 from hoi.config.validate import to_config
 from hoi.data import Motion
 from hoi.refine.clip import Clip, chosen, moved_by
 from hoi.refine.silhouettes import coverage, silhouettes
+from hoi.refine.stage import contact_window
 from hoi.refine.views import Framing, viewpoint
 from hoi.refine.window import window_around
 from hoi.render.rasterise import rasterise
 from hoi.render.splats import Splats
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
 
 
 def ball(centre: tuple[float, float, float], radius: float, count: int = 3000) -> Splats:
@@ -109,8 +109,8 @@ def test_the_motion_nearest_to_touch_is_kept(composed, monkeypatch: pytest.Monke
 
     tried = [shifted(0.01), shifted(-0.012), shifted(-0.005)]
 
-    def pushing(*given) -> Motion:
-        assert not any(given[-1](motion) for motion in tried)
+    def pushing(*_, enough, **__) -> Motion:
+        assert not any(enough(motion) for motion in tried)
         return tried[-1]
 
     monkeypatch.setattr("hoi.method.video_sds.video_sds", pushing)
@@ -122,8 +122,8 @@ def test_the_motion_nearest_to_touch_is_kept(composed, monkeypatch: pytest.Monke
         tried[2] = shifted(0.01)
         assert refine(scene, state, config, "cpu", stage) is state.motion
 
-        def leaving(*given) -> Motion:
-            assert not given[-1](near) and given[-1](far)
+        def leaving(*_, enough, **__) -> Motion:
+            assert not enough(near) and enough(far)
             return far
 
         monkeypatch.setattr("hoi.method.video_sds.video_sds", leaving)

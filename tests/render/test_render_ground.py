@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from bodies import splats_of
 
 from hoi.gaussians import fibonacci_sphere
 from hoi.render import ground
@@ -17,9 +18,7 @@ BALL = 0.11
 
 
 def ball(centre, radius=BALL, count=600, opacity=0.9, scale=0.008):
-    means = torch.as_tensor(fibonacci_sphere(count) * radius + np.array(centre), dtype=torch.float32)
-    sigma = torch.eye(3).expand(count, 3, 3) * scale**2
-    return Splats(means, sigma, torch.full((count,), opacity), torch.zeros(count, 1, 3))
+    return splats_of(fibonacci_sphere(count) * radius + np.array(centre), scale, opacity=opacity)
 
 
 @pytest.fixture(scope="module")

@@ -103,7 +103,7 @@ def test_person_and_object_are_where_they_should_be(demo, view):
 def joints(shown, frame, which):
     from hoi.body.skinning import joint_paths
 
-    return joint_paths(shown.run.scene.body, shown.run.state.motion)[frame, list(which)]
+    return joint_paths(shown.scene.body, shown.state.motion)[frame, list(which)]
 
 
 def test_frames_are_those_asked_for(demo):

@@ -16,11 +16,12 @@ from analysis.metrics import METRICS
 from analysis.records import load
 from hoi.config.validate import to_config
 from hoi.errors import InputError, RunError
+from hoi.method import contact
 from hoi.plan import make_plan
 from hoi.record import message_digest, read, video
 from hoi.render.cameras import project
-from hoi.runner import pipeline
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
+from hoi.runner import jobs
 
 SMOKE = ["experiment=smoke"]
 TINY_VIDEO = ["render=video", "render.width=96", "render.height=64"]
@@ -95,25 +96,23 @@ def test_several_seeds_make_a_record_each(runs, tmp_path):
 def test_one_run_that_fails_does_not_stop_the_others(composed, tmp_path, monkeypatch):
     options = ["human.gaussians=1000", "scene.frames=4", "scene.contact_frame=2", "ablation=no_mpm"]
     config = to_config(composed(*SMOKE, *options, "stage/motion=none", "stage/coordinate=default"))
-    jobs = [
-        pipeline.Job(
-            replace(config, seed=seed), tmp_path / f"{seed}" / "run.mcap", f"seed: {seed}\n", {"seed": str(seed)}
-        )
+    to_do = [
+        jobs.Job(replace(config, seed=seed), tmp_path / f"{seed}" / "run.mcap", f"seed: {seed}\n", {"seed": str(seed)})
         for seed in range(3)
     ]
-    looked = pipeline.find_contact
+    looked = contact.find_contact
 
-    def diverge(body, *rest, **options):
+    def diverge(*given, **options):
         if len(list(tmp_path.glob("*/run.mcap"))) == 1:  # the second
-            monkeypatch.setattr(pipeline, "find_contact", looked)
+            monkeypatch.setattr(contact, "find_contact", looked)
             raise RunError("diverged")
-        return looked(body, *rest, **options)
+        return looked(*given, **options)
 
-    monkeypatch.setattr(pipeline, "find_contact", diverge)
-    for job in jobs:
+    monkeypatch.setattr(contact, "find_contact", diverge)
+    for job in to_do:
         job.path.parent.mkdir()
     with pytest.raises(RunError, match="1 of 3 runs failed: seed 1: diverged"):
-        pipeline.run(jobs, make_plan(config))
+        jobs.run(to_do, make_plan(config))
     assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == [
         "0/run.mcap", "1/run.failed.mcap", "2/run.mcap",
     ]  # fmt: skip
@@ -184,7 +183,7 @@ def test_the_same_record_gives_the_same_pictures(filmed, composed):
     conf = to_config(composed(*SMOKE, *TINY_VIDEO)).render
     torch.set_num_threads(1)
     with Stages().stage("render", run.scene.frames) as stage:
-        _, again = pipeline.draw(run, conf, "cpu", stage)
+        _, again = conf.draw(run, "cpu", stage)
     assert again.units == video(out / "run.mcap").units
 
 
@@ -214,7 +213,7 @@ def test_a_video_that_cannot_be_drawn_keeps_the_run(composed, tmp_path, monkeypa
     options = ["human.gaussians=1000", "scene.frames=4", "scene.contact_frame=2", "ablation=no_mpm"]
     config = to_config(composed(*SMOKE, *TINY_VIDEO, *options, "stage/motion=none", "stage/contact=none"))
     with pytest.raises(RunError, match=r"render: splats are not finite; render=none runs without a video"):
-        pipeline.run([pipeline.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
+        jobs.run([jobs.Job(config, tmp_path / "run.mcap", "seed: 0\n", {"seed": "0"})], make_plan(config))
     assert [file.name for file in tmp_path.iterdir()] == ["run.failed.mcap"]
     failed = read(tmp_path / "run.failed.mcap")
     assert failed.result["status"] == "failed" and len(failed.state.trajectory.positions) == 4
@@ -330,7 +329,7 @@ def test_what_libraries_make_of_an_interrupt_does_not_matter(then):
     """Some swallow it while they are imported, some make an error of it."""
     code = f"""
 import os, signal, sys, time
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.interrupt import interruptible
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with interruptible():
     try:

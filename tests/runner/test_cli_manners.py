@@ -214,7 +214,6 @@ def test_a_path_with_spaces_can_be_pasted():
     assert what_next([Path("my runs/run.mcap")]).startswith("next: hoi view 'my runs/run.mcap' ")
 
 
-@pytest.mark.slow
 def test_no_library_warns_on_the_screen(done):
     folder, result = done
     commands = [["video", "here/run.mcap", "-o", "side.mp4", "--view", "side"], ["strip", "here/run.mcap"]]
@@ -242,7 +241,7 @@ def test_an_interrupt_that_is_swallowed_leaves_no_lock(tmp_path):
     code = """
 import os, signal, time
 from pathlib import Path
-from hoi.runner import interrupt
+from hoi.terminal import interrupt
 from hoi.runner.execute import alone
 interrupt.GRACE = 0.1
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -191,7 +191,6 @@ def nobody_is_left(folder: Path) -> bool:
     return not at_work(folder)
 
 
-@pytest.mark.slow
 @needs_proc
 @needs_joblib
 def test_interrupt_ends_a_sweep(tmp_path):
@@ -205,7 +204,6 @@ def test_interrupt_ends_a_sweep(tmp_path):
     assert not list(tmp_path.rglob("run.failed.mcap"))
 
 
-@pytest.mark.slow
 @needs_proc
 @needs_joblib
 def test_a_worker_that_is_killed_is_said(tmp_path):

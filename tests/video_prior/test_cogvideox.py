@@ -16,12 +16,11 @@ from diffusers import AutoencoderKLCogVideoX, CogVideoXPipeline, CogVideoXTransf
 from tiny_cogvideox import SCHEDULER_5B, TRANSFORMER, VAE, build
 from transformers import AutoTokenizer, T5EncoderModel
 
-from hoi.config import VideoSDSConf
-from hoi.config.choices import VideoPriorKind
 from hoi.errors import InputError
-from hoi.method.video_sds import refine_with
+from hoi.method.video_sds import video_sds
 from hoi.refine.window import window_around
-from hoi.runner.progress import Stages
+from hoi.reports import Stages
+from hoi.stages.refine.video_sds import VideoPriorKind, VideoSDS
 from hoi.video_prior import files as weights
 from hoi.video_prior import load_video_prior
 from hoi.video_prior.cogvideox import CogVideoX, clip_of, rotary_embedding
@@ -48,14 +47,14 @@ FULL = {
 """The 5B's sizes."""
 
 
-def conf(folder: Path, **changes: object) -> VideoSDSConf:
+def conf(folder: Path, **changes: object) -> VideoSDS:
     values: dict = dict(
         prior=VideoPriorKind.cogvideox, checkpoint=str(folder), width=WIDTH, height=HEIGHT, clip_frames=9,
         offload=False, iterations=2, learning_rate=0.01, guidance=100.0, guidance_rescale=0.0, t_min=100, t_max=980,
         t_max_end=300, t_max_iterations=1000, viewpoints=2, elevation=0.3, distance=None, lambda_geometry=0.0,
         lambda_smooth=0.0,
     )  # fmt: skip
-    return VideoSDSConf(**{**values, **changes})
+    return VideoSDS(**{**values, **changes})
 
 
 def load(folder: Path, **changes: int) -> CogVideoX:
@@ -225,7 +224,8 @@ def test_stage_3_moves_theta_in_the_window_and_nothing_else(prior: CogVideoX) ->
     frozen = [p.clone() for model in (prior.vae, prior.transformer) for p in model.parameters()]
     stages = Stages()
     with stages.stage("refine", 2) as stage:
-        motion = refine_with(prior, run.scene, before, trajectory, window, conf(prior._files.folder), 0, "cpu", stage)
+        settings = {"seed": 0, "device": "cpu", "stage": stage}
+        motion = video_sds(prior, run.scene, run.state, window, conf(prior._files.folder), **settings)
     changed = np.zeros((6, 23), dtype=bool)
     changed[np.ix_(window.frames, np.array(window.moving) - 1)] = True
     assert motion.body_pose[~changed].tobytes() == before.body_pose[~changed].tobytes()

@@ -288,6 +288,7 @@ def test_drawing_sends_the_frame(viewer, demo):
     moments = Moments(demo[0])
     for frame in (5, 1):
         viewer.draw(frame)
+        assert viewer.nodes
         for nodes in viewer.nodes:
             assert np.array_equal(nodes._splats["person"].buffer, moments.at(frame)["person"])
             assert np.array_equal(nodes._splats["object"].buffer, moments.at(frame)["object"])

@@ -216,7 +216,6 @@ def test_the_page_can_be_turned_around(shown):
     assert reddish(picture(shown)) > 300
 
 
-@pytest.mark.slow
 def test_the_viewer_plays_in_the_browser(browser, demo, tmp_path):
     pytest.importorskip("viser", reason="needs hoi[view]")
     from hoi.view.viewer import Viewer

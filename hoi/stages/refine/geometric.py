@@ -29,11 +29,12 @@ class Geometric(WindowedRefinement):
         super().plan(config, draft)
 
     def refine(self, scene: Scene, state: State, config: Config, device: str, stage: Stage) -> Motion:
-        from hoi.refine.geometric import Geometry, minimise
         from hoi.refine.stage import refined
-        from hoi.refine.window import WindowedPose
 
         def improve(meeting: Meeting) -> Motion:
+            from hoi.refine.geometric import Geometry, minimise
+            from hoi.refine.window import WindowedPose
+
             pose = WindowedPose(meeting.motion, meeting.window, device)
             minimise(pose, Geometry(meeting, self, device), self, stage)
             return pose.motion()

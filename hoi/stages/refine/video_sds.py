@@ -104,13 +104,14 @@ class VideoSDS(WindowedRefinement):
         return f"{said}, + {self.lambda_geometry:g} L_geometry" if self.lambda_geometry > 0 else said
 
     def refine(self, scene: Scene, state: State, config: Config, device: str, stage: Stage) -> Motion:
-        from hoi.method.video_sds import memory_may_run_out, video_sds
         from hoi.refine.stage import Nearest, refined
-        from hoi.video_prior import load_video_prior
 
         distance = config.stage.contact.d_contact
 
         def improve(meeting: Meeting) -> Motion:
+            from hoi.method.video_sds import memory_may_run_out, video_sds
+            from hoi.video_prior import load_video_prior
+
             nearest = Nearest(meeting, distance, self.tolerance) if self.when is RefineWhen.needed else None
             with memory_may_run_out(), under(self.key, "prior", "checkpoint", "width", "clip_frames", "half_width"):
                 prior = load_video_prior(

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
-from hoi.runner.arguments import Parser
-from hoi.runner.interrupt import interruptible
+from hoi.terminal.arguments import Parser
+from hoi.terminal.interrupt import interruptible
 
 EXAMPLES = """examples:
   python -m hoi.view.layouts foxglove -o hoi.foxglove.json

@@ -1,0 +1,1 @@
+"""What every command line shares: one-line refusals, progress bars, Ctrl-C."""
