@@ -203,8 +203,6 @@ FLOORS = (
     ("data", "gaussians", "errors", "files"),
 )
 """As docs/code.md draws them."""
-MANNERS = {"hoi.runner.arguments", "hoi.runner.interrupt", "hoi.runner.progress"}
-"""What every program shares."""
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -215,7 +213,7 @@ def imported(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and id(node) not in apart:
             named = [node.module] if node.module != "hoi" else [f"hoi.{alias.name}" for alias in node.names]
-            yield from (name.split(".")[1] for name in named if name.startswith("hoi.") and name not in MANNERS)
+            yield from (name.split(".")[1] for name in named if name.startswith("hoi."))
 
 
 def test_imports_go_down_as_the_page_of_the_code_draws():
