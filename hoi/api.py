@@ -12,6 +12,7 @@ What is wrong with what is given raises `hoi.InputError`, a run that cannot go o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -111,8 +112,8 @@ def simulate(
     from hoi.reports import quiet
     from hoi.runner.scene import PARTICLES_PER_CELL
 
-    if not (seconds > 0 and fps > 0):
-        raise InputError("seconds and fps", f"{seconds:g} and {fps:g}", "greater than 0")
+    if not (0 < seconds < math.inf and 0 < fps < math.inf):
+        raise InputError("seconds and fps", f"{seconds:g} and {fps:g}", "greater than 0, and finite")
     named = material if isinstance(material, str) else "soft_solid"
     config = compose(f"material={named}", f"stage.object.cells_across={cells_across}")
     made, cloud = material_of(config.material) if isinstance(material, str) else material, _checked(cloud)

@@ -151,12 +151,20 @@ def test_in_memory_nothing_else_is_touched(config, in_memory, tmp_path, monkeypa
     assert_same(again, in_memory)
 
 
+@pytest.mark.slow
 def test_it_is_what_the_command_line_does(in_memory, of_the_command_line, tmp_path):
     assert_same(in_memory, hoi.read(of_the_command_line))
     hoi.write(in_memory, tmp_path / "run.mcap", human_points=200)
     assert message_digest(tmp_path / "run.mcap") == message_digest(of_the_command_line)
 
 
+@pytest.mark.slow
+def test_what_is_read_can_be_written_again(of_the_command_line, tmp_path):
+    hoi.write(hoi.read(of_the_command_line), tmp_path / "again.mcap", human_points=200)
+    assert message_digest(tmp_path / "again.mcap") == message_digest(of_the_command_line)
+
+
+@pytest.mark.slow
 def test_runs_in_one_process_do_not_disturb_each_other(config, in_memory):
     other = hoi.compose(*QUICK, "stage.object.precision=float64", "stage.motion.sample_guidance=2", seed=2)
     assert hoi.run(other).result["outcome"] != in_memory.result["outcome"]
@@ -178,6 +186,7 @@ def test_out_records_and_is_read_back(config, in_memory, tmp_path, monkeypatch, 
     one_line(raised.value)
 
 
+@pytest.mark.slow
 def test_a_record_of_the_command_line_is_found_again(config, in_memory, of_the_command_line, monkeypatch):
     monkeypatch.setattr("hoi.runner.jobs.run", lambda *_: pytest.fail("computed again"))
     assert_same(hoi.run(config, out=of_the_command_line.parent), in_memory)
@@ -242,6 +251,7 @@ def test_it_takes_a_material_a_spin_and_other_planes():
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "granite"), "granite"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", seconds=0), "seconds"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", fps=-1), "fps"),
+        (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", seconds=np.inf), "seconds"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", cells_across=0), "cells_across"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", velocity=[1, 2]), "velocity"),
         (lambda: hoi.simulate(at(ball(), [0, 0, 1]), "jelly", threads=0), "threads"),

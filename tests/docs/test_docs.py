@@ -5,6 +5,7 @@ sweep is composed (`--cfg hydra`); any other command is asked for `--help`, whic
 `make`, the same for what the target would call.
 """
 
+import ast
 import contextlib
 import io
 import pkgutil
@@ -191,6 +192,37 @@ def test_the_papers_symbols_are_where_the_method_page_says():
             checked += 1
             assert name in known or any(re.search(rf"\b{last}\b", text) for text in texts), f"{name} is not in {files}"
     assert checked > 40
+
+
+FLOORS = (
+    ("training", "export", "view", "runner", "api"),
+    ("plan", "config"),
+    ("stages",),
+    ("method",),
+    ("body", "objects", "motion", "mpm", "refine", "render", "video_prior"),
+    ("data", "gaussians", "errors", "files"),
+)
+"""As docs/code.md draws them."""
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The rooms of hoi that a file imports when it runs, anywhere in it; not what it takes for types alone."""
+    tree = ast.parse(path.read_text())
+    kinds = [node for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    apart = {id(inner) for node in kinds for inner in ast.walk(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and id(node) not in apart:
+            named = [node.module] if node.module != "hoi" else [f"hoi.{alias.name}" for alias in node.names]
+            yield from (name.split(".")[1] for name in named if name.startswith("hoi."))
+
+
+def test_imports_go_down_as_the_page_of_the_code_draws():
+    for number, floor in enumerate(FLOORS):
+        above = {room for higher in FLOORS[:number] for room in higher}
+        for place in (ROOT / "hoi" / room for room in floor):
+            for path in place.rglob("*.py") if place.is_dir() else [place.with_suffix(".py")]:
+                upwards = set(imported(path)) & above
+                assert not upwards, f"{path.relative_to(ROOT)} imports {', '.join(sorted(upwards))}"
 
 
 @pytest.fixture(scope="module")

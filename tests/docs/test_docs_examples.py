@@ -37,11 +37,11 @@ def example(name: str):
 @pytest.mark.parametrize(
     ("name", "says", "leaves"),
     [
-        ("whole_method", "contact by right_foot", []),
-        ("object_alone", "basketball: ", []),
+        pytest.param("whole_method", "contact by right_foot", [], marks=pytest.mark.slow),
+        pytest.param("object_alone", "basketball: ", [], marks=pytest.mark.slow),
         ("person_alone", "right leg: up to ", []),
         ("picture", "", ["picture.png"]),
-        ("plot_record", "", ["kick", "kick.png"]),
+        pytest.param("plot_record", "", ["kick", "kick.png"], marks=pytest.mark.slow),
     ],
 )
 def test_an_example_of_the_python_api_runs_in_an_empty_folder(name, says, leaves, tmp_path):
