@@ -37,13 +37,3 @@ LIMBS |= {
     "head": CHAINS["head"],
 }
 """A limb's name -> the joints whose Gaussians belong to it."""
-
-CHAINS = {
-    "left leg": (1, 4, 7, 10),
-    "right leg": (2, 5, 8, 11),
-    "left arm": (16, 18, 20, 22),
-    "right arm": (17, 19, 21, 23),
-    "head": (12, 15),
-    "trunk": (0, 3, 6, 9, 13, 14),
-}
-"""The joints that push together: each joint is in one chain."""
