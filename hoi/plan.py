@@ -8,7 +8,7 @@ import math
 
 from hoi.config import Ablation, Config, MaterialConf
 from hoi.data import Check, Material, Plan
-from hoi.errors import InputError
+from hoi.errors import InputError, under
 from hoi.stages.contract import Draft, labels
 
 
@@ -47,10 +47,8 @@ def materials_of(config: Config) -> tuple[Material, ...]:
     """
     materials = [material_of(config.material)]
     for index, region in enumerate(config.object.regions):
-        try:
+        with under(f"object.regions.{index}"):
             materials.append(material_of(region.material))
-        except InputError as error:
-            raise InputError(f"object.regions.{index}.{error}") from None
     return tuple(materials)
 
 
