@@ -47,12 +47,6 @@ def to_latents(video: Tensor, patch: int) -> Tensor:
     return torch.einsum("zc,...chw->...zhw", basis(patch).to(video), pixels)
 
 
-def to_pixels(latents: Tensor, patch: int) -> Tensor:
-    """Inverse of `to_latents`."""
-    pixels = torch.einsum("zc,...zhw->...chw", basis(patch).to(latents), latents)
-    return functional.pixel_shuffle(pixels * SPREAD + MEAN, patch)
-
-
 class EmbeddedPrior:
     """A `hoi.video_prior.VideoPrior`; made by `load_embedded`."""
 
