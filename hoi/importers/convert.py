@@ -16,6 +16,7 @@ from hoi.body.clothing import OUTFITS
 from hoi.data import Body
 from hoi.errors import InputError
 from hoi.importers.unpickle import read_arrays
+from hoi.terminal.arguments import refusing
 
 
 def read_betas(text: str) -> list[float]:
@@ -105,12 +106,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    try:
-        run(parser().parse_args())
-    except InputError as error:
-        print(f"hoi: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return refusing(lambda: run(parser().parse_args()))
 
 
 if __name__ == "__main__":

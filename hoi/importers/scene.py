@@ -25,6 +25,7 @@ from hoi.files import CONF
 from hoi.importers.physgaussian.reader import CAMERA, SceneFile, read_scene_file
 from hoi.mpm.materials import check_material
 from hoi.mpm.stability import time_step_limit
+from hoi.terminal.arguments import refusing
 
 REACH = 1.0
 """Way from the person to the object [m]."""
@@ -299,12 +300,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    try:
-        run(parser().parse_args())
-    except InputError as error:
-        print(f"hoi: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return refusing(lambda: run(parser().parse_args()))
 
 
 if __name__ == "__main__":

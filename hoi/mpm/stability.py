@@ -96,11 +96,11 @@ def choose_time_step(
     if dt is None:
         return fraction * limit
     if not (math.isfinite(dt) and dt > 0):
-        raise InputError(f"stage.object.dt must be positive and finite [s], got {dt:g}")
+        raise InputError(f"dt must be positive and finite [s], got {dt:g}")
     if dt > limit:
         viscous = f", viscosity {tightest.viscosity:g} Pa s" if diffusivity(tightest) else ""
         raise InputError(
-            f"stage.object.dt must be at most {limit:.3g} s for {tightest.name} "
+            f"dt must be at most {limit:.3g} s for {tightest.name} "
             f"(wave speed {p_wave_speed(tightest):.0f} m/s{viscous}) on cells of {dx:.3g} m, got {dt:g}; "
             "leave it out to have it chosen, or use larger cells"
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
-from hoi.errors import RunError
+from hoi.errors import RunError, under
 from hoi.mpm.laws import LAWS
 from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 
@@ -103,7 +103,8 @@ class MPM(ObjectMover):
         fall = math.sqrt(2 * max(gravity, 0.0) * (placement.position[2] or 0.0))
         speed = math.hypot(*placement.velocity) + fall
         limit = time_step_limit(materials, dx, speed)
-        dt = choose_time_step(materials, dx, speed, dt=self.dt, fraction=self.limit_fraction)
+        with under(self.key, "dt"):
+            dt = choose_time_step(materials, dx, speed, dt=self.dt, fraction=self.limit_fraction)
         cfl, steps = cfl_number(materials, dx, dt, speed), config.scene.frames / config.scene.fps / dt
         draft.check("cfl", f"{cfl:.2f}", f"dt {dt:.3g} s, limit {limit:.3g} s")
         draft.check("resolution", f"{config.object.size / dx:.1f}", f"cells of {dx:.3g} m across the object")
@@ -157,22 +158,23 @@ def advance(
         collider = replace(collider, times=collider.times - start / scene.fps)
 
     def simulation(state: ObjectState, now: float) -> Simulation:
-        return Simulation(
-            state,
-            thing.volumes,
-            thing.materials,
-            region=thing.region,
-            dx=dx,
-            dt=conf.dt,
-            fraction=conf.limit_fraction,
-            gravity=scene.gravity,
-            planes=planes,
-            collider=None if collider is None else replace(collider, times=collider.times - now),
-            spline=conf.spline.value,
-            precision=conf.precision.value,
-            threads=threads,
-            device="cuda" if device == "cuda" else "cpu",
-        )
+        with under(conf.key, "dt"):
+            return Simulation(
+                state,
+                thing.volumes,
+                thing.materials,
+                region=thing.region,
+                dx=dx,
+                dt=conf.dt,
+                fraction=conf.limit_fraction,
+                gravity=scene.gravity,
+                planes=planes,
+                collider=None if collider is None else replace(collider, times=collider.times - now),
+                spline=conf.spline.value,
+                precision=conf.precision.value,
+                threads=threads,
+                device="cuda" if device == "cuda" else "cpu",
+            )
 
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
     reaches = [reach_of(plane, dx, width) for plane in planes]
