@@ -6,7 +6,7 @@ frames), `time` is in seconds, `step` an MPM substep, `iteration` an optimiser i
 """
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -309,17 +309,24 @@ class Contact:
     v_human: Array
     """V_human [m/s], shape (3,)."""
     v_object: Array
-    """V_obj just before [m/s], shape (3,)."""
+    """V_obj just before [m/s], of the centre of mass, shape (3,)."""
     v_in: float
     """(V_human - V_obj) . n [m/s]; not positive when separating."""
     v_post: Array
-    """V_post [m/s], shape (3,); equal to `v_object` when no impulse is given."""
+    """V_post [m/s], of the centre of mass, shape (3,): right after the impulse, or when the push is over; equal to
+    `v_object` when nothing is given."""
     impulse: Array
-    """Momentum given to the object [N s], shape (3,): m (V_post - V_obj), or what the moving limb gave in all."""
+    """Momentum given to the object [N s], shape (3,)."""
     gap: float
     """Smallest distance between the joint's Gaussians and the object's at t_c [m]."""
     duration: float = 0.0
     """From the first to the last push of the moving limb [s]; 0 for an impulse, which takes no time."""
+    limb_mass: float = math.inf
+    """m_eff, the effective mass of the struck point of the person along n [kg]; infinite where nothing stops it."""
+    spin: Array = field(default_factory=lambda: np.zeros(3))
+    """What an impulse off the centre of mass added to the object's angular velocity [rad/s], shape (3,)."""
+    v_formula: Array = field(default_factory=lambda: np.full(3, math.nan))
+    """The paper's V_post = V_obj + (1 + e) v_in n, of a limb that nothing stops [m/s], shape (3,)."""
 
 
 @dataclass(frozen=True)
@@ -336,6 +343,10 @@ class ContactSearch:
     def push(self) -> Contact | None:
         """The contact that gave an impulse; None when nothing did."""
         return next((contact for contact in self.contacts if contact.v_in > 0), None)
+
+    def with_push(self, contact: Contact) -> "ContactSearch":
+        """The same with that contact in the place of its `push`."""
+        return replace(self, contacts=tuple(contact if each is self.push else each for each in self.contacts))
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class ToyContact(Toy, ContactModel):
     def answer(self, scene, state, restarts, move, stage):
         """The object is 1 m further on."""
         self.note("answer", len(restarts))
-        return replace(state.trajectory, com=state.trajectory.com + np.array([0, 1, 0])), state.contact
+        return replace(state, trajectory=replace(state.trajectory, com=state.trajectory.com + np.array([0, 1, 0])))
 
 
 @dataclass

@@ -36,17 +36,16 @@ def replayed(config: Config, scene: Scene, whole: Motion, stages: Stages) -> Sta
         return State(motion, free, target, search)
     with stages.stage("resimulate", 1) as stage:
         trajectory = carried_on(scene, free, push)
-        error = np.linalg.norm(push.v_human - push.v_post) / np.linalg.norm(push.v_post)
+        error = np.linalg.norm(push.v_human - push.v_formula) / np.linalg.norm(push.v_formula)
         stage.numbers["v_post_error"] = float(error)
     return State(motion, trajectory, target, _as_given(search, float(scene.thing.masses.sum())))
 
 
 def _as_given(search: ContactSearch, mass: float) -> ContactSearch:
-    """The search with the impulse that the object really got, m (V_human - V_obj); V_post stays the formula's."""
+    """The search with what the object really got: V_human, and the impulse m (V_human - V_obj)."""
     push = search.push
     assert push is not None
-    given = replace(push, impulse=mass * (push.v_human - push.v_object))
-    return replace(search, contacts=tuple(given if each is push else each for each in search.contacts))
+    return search.with_push(replace(push, v_post=push.v_human, impulse=mass * (push.v_human - push.v_object)))
 
 
 def strike_of(joints: Array, candidates: Sequence[int], thing: ObjectTrajectory) -> Target:

@@ -22,7 +22,7 @@ def find_contact(
     """The first moment at which a point of the skin is within `distance` of the object while it moves towards it.
 
     V_human is the mean velocity, over the last step, of the points that touch. V_obj is that of the centre of mass.
-    V_post and the impulse are the formula's, as for all runs; how the object really goes on is in its trajectory.
+    V_post and the impulse are the formula's; how the object really goes on is in its trajectory.
 
     Args:
         skin: (T, M, 3) [m]. surface: (T, N, 3) [m]. com: (T, 3) [m]. mass: of the object [kg].
@@ -65,6 +65,7 @@ def _contact(
     return {
         "frame": frame, "joint": UNKNOWN, "fraction": len(rows) / skin.shape[1], "point": point, "normal": normal,
         "v_human": v_human, "v_object": v_object, "v_in": v_in, "v_post": v_post, "impulse": mass * (v_post - v_object),
+        "v_formula": v_post,
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Motions between their frames."""
+"""Motions between their frames: their velocity has no jumps, as that of a limb has none."""
 
 import numpy as np
 import roma
@@ -14,7 +14,11 @@ SLACK = 1e-6
 
 
 def interpolate_motion(motion: Motion, frames: ArrayLike) -> Motion:
-    """The motion at fractional frames: translation linearly, each local rotation by slerp along the shorter arc.
+    """The motion at fractional frames: cubic from frame to frame, of translation and of each local rotation.
+
+    At a frame the velocity is the mean of the steps before and after it (Catmull and Rom 1974), at the ends that of the
+    one step. A rotation's step is along the shorter arc, and between frames it goes by its logarithm: two frames alone
+    are joined by a straight line and a slerp.
 
     Args:
         frames: (F,), in [0, T - 1] and in any order.
@@ -46,20 +50,52 @@ def interpolate_pose(
     """
     last = len(translation) - 1
     at = at.clip(0, last)
-    before = np.floor(at).astype(np.intp)
+    before = np.minimum(np.floor(at).astype(np.intp), max(last - 1, 0))
     after = np.minimum(before + 1, last)
-    share = torch.from_numpy(at - before).to(translation)
-    root = _slerp(roma.rotmat_to_unitquat(rotation_from_6d(orientation)), before, after, share)
-    joints = _slerp(roma.rotvec_to_unitquat(body_pose), before, after, share[:, None])
+    share = torch.from_numpy(at - before).to(translation)[:, None]
+    step = translation[1:] - translation[:-1]
+    rates = _rates(step)
+    moved = step[before] if last else translation.new_zeros(len(at), 3)
+    root = _turned(roma.rotmat_to_unitquat(rotation_from_6d(orientation)), before, after, share)
+    joints = _turned(roma.rotvec_to_unitquat(body_pose), before, after, share[..., None])
     return (
-        torch.lerp(translation[before], translation[after], share[:, None]),
+        translation[before] + _hermite(moved, rates[before], rates[after], share),
         rotation_to_6d(roma.unitquat_to_rotmat(root)),
         roma.unitquat_to_rotvec(joints),
     )
 
 
-def _slerp(quaternions: Tensor, before: np.ndarray, after: np.ndarray, share: Tensor) -> Tensor:
-    """q_0 exp(s log(q_0^-1 q_1)) with roma's xyzw quaternions (T, ..., 4) -> (F, ..., 4)."""
+def _rates(steps: Tensor) -> Tensor:
+    """Per frame, (T, ...), from what is passed from each frame to the next, (T - 1, ...)."""
+    if not len(steps):
+        return steps.new_zeros((1, *steps.shape[1:]))
+    return torch.cat([steps[:1], 0.5 * (steps[1:] + steps[:-1]), steps[-1:]])
+
+
+def _hermite(step: Tensor, begins: Tensor, ends: Tensor, share: Tensor) -> Tensor:
+    """The cubic from 0 to `step` as `share` goes from 0 to 1, with rates `begins` and `ends`."""
+    left = 1 - share
+    return share**2 * (3 - 2 * share) * step + share * left * (left * begins - share * ends)
+
+
+def _turned(quaternions: Tensor, before: np.ndarray, after: np.ndarray, share: Tensor) -> Tensor:
+    """q_0 exp(r(s)), r the cubic from 0 to log(q_0^-1 q_1): roma's xyzw quaternions (T, ..., 4) -> (F, ..., 4)."""
+    inverse = roma.quat_conjugation(quaternions[:-1])
+    steps = roma.unitquat_to_rotvec(roma.quat_product(inverse, quaternions[1:]))
+    rates = _rates(steps)  # in the turning frame, which a turn about itself leaves alone
     start = quaternions[before]
-    turn = roma.unitquat_to_rotvec(roma.quat_product(roma.quat_conjugation(start), quaternions[after]))
-    return roma.quat_product(start, roma.rotvec_to_unitquat(share[..., None] * turn))
+    if not len(steps):
+        return start
+    step = steps[before]
+    turn = _hermite(step, rates[before], _to_logarithm(step, rates[after]), share)
+    return roma.quat_product(start, roma.rotvec_to_unitquat(turn))
+
+
+def _to_logarithm(turn: Tensor, rate: Tensor) -> Tensor:
+    """How fast log(exp(turn) exp(rate t)) begins to change: J_r(turn)^-1 rate, both (..., 3)."""
+    square = turn.square().sum(dim=-1, keepdim=True)
+    small = square < 1e-4
+    angle = torch.where(small, 1.0, square).sqrt()
+    factor = torch.where(small, 1 / 12 + square / 720, 1 / angle**2 - 1 / (2 * angle * torch.tan(angle / 2)))
+    across = torch.linalg.cross(turn, rate)
+    return rate + 0.5 * across + factor * torch.linalg.cross(turn, across)

@@ -5,18 +5,50 @@ point of a limb moves further than the contact distance between tests: a fist at
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from hoi.body.limbs import Limbs
-from hoi.body.skinning import joint_paths
-from hoi.data import Array, Contact, ContactSearch, Motion, ObjectTrajectory, Scene, SceneObject
+from hoi.body.mass import PART
+from hoi.body.skinning import joint_frames, joint_paths
+from hoi.data import Array, Body, Contact, ContactSearch, Motion, ObjectState, ObjectTrajectory, Scene, SceneObject
 from hoi.frames import at_frame
+from hoi.mpm.state import centre_of_mass
 
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
+INSTANT = 0.01
+"""Half the time over which the velocity at an instant is taken [frames]."""
+
+
+def exchange(contact: Contact, thing: SceneObject, state: ObjectState, limb: float) -> Contact:
+    """The contact with the impulse P n that limb and object exchange, both as free to answer as they are.
+
+    P = (1 + e) v_in / (1 / m_eff + 1 / m + (r x n) I^-1 (r x n)), r from the object's centre of mass to the point: with
+    a limb of infinite mass and n through the centre of mass, the paper's m (1 + e) v_in.
+
+    Args:
+        state: the object's at t_c.
+        limb: 1 / m_eff [1/kg].
+    """
+    masses = thing.masses
+    arms = state.positions - centre_of_mass(state.positions, masses)
+    inertia = np.eye(3) * (masses @ (arms**2).sum(axis=1)) - (masses[:, None] * arms).T @ arms
+    arm = contact.point - centre_of_mass(state.positions, masses)
+    turn = np.linalg.solve(inertia, np.cross(arm, contact.normal))
+    mass = float(masses.sum())
+    v_object = centre_of_mass(state.velocities, masses)
+    momentum = masses @ np.cross(arms, state.velocities - v_object)
+    at_point = v_object + np.cross(np.linalg.solve(inertia, momentum), arm)
+    v_in = float((contact.v_human - at_point) @ contact.normal)
+    give = limb + 1 / mass + float(np.cross(arm, contact.normal) @ turn)
+    given = (1 + thing.material.restitution) * max(v_in, 0.0) / give
+    return replace(
+        contact, v_object=v_object, v_in=v_in, v_post=v_object + given / mass * contact.normal,
+        impulse=given * contact.normal, spin=given * turn, limb_mass=1 / limb if limb > 0 else np.inf,
+    )  # fmt: skip
 
 
 def impulse(v_human: Array, v_object: Array, normal: Array, restitution: float) -> tuple[float, Array]:
@@ -58,7 +90,14 @@ def touch(limb: Array, surface: Array, distance: float) -> _Touch:
 
 
 def find_contact(
-    scene: Scene, motion: Motion, trajectory: ObjectTrajectory, *, tau: float, distance: float, between_frames: bool
+    scene: Scene,
+    motion: Motion,
+    trajectory: ObjectTrajectory,
+    *,
+    tau: float,
+    distance: float,
+    between_frames: bool,
+    over_a_frame: bool = False,
 ) -> ContactSearch:
     """The first contact that pushes the object, and any separating touch before it.
 
@@ -69,6 +108,8 @@ def find_contact(
         trajectory: the object's free motion.
         tau: tau_contact [-]. distance: d_contact [m].
         between_frames: whether to look between frames too.
+        over_a_frame: V_human as the paper has it, of the joint and over the frame before t_c; else that of the touched
+            point at t_c.
     """
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
     surface = trajectory.positions[:, : len(scene.thing.cloud)]
@@ -85,7 +126,10 @@ def find_contact(
             if found.fraction >= tau and found.point is not None:
                 touching[joint] = found
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):
-            v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
+            if over_a_frame:
+                v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
+            else:
+                v_human = _point_velocity(scene.body, motion, joint, frame, touching[joint].point)
             contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing)
             if contact.v_in > 0:
                 return ContactSearch((*contacts, contact), gap, gap_frame, gap_joint)
@@ -112,8 +156,10 @@ def _contact(
         length = max(float(np.linalg.norm(towards_com)), 1e-12)
     normal = towards_com / length
     v_in, v_post = impulse(v_human, v_object, normal, thing.material.restitution)
-    given = float(thing.masses.sum()) * (v_post - v_object)
-    return Contact(frame, joint, found.fraction, found.point, normal, v_human, v_object, v_in, v_post, given, found.gap)
+    return Contact(
+        frame, joint, found.fraction, found.point, normal, v_human, v_object, v_in, v_object, np.zeros(3), found.gap,
+        v_formula=v_post,
+    )  # fmt: skip
 
 
 def _joint_velocity(path: Array, frame: float, fps: float) -> Array:
@@ -122,6 +168,15 @@ def _joint_velocity(path: Array, frame: float, fps: float) -> Array:
     if back == 0.0:
         return np.zeros(3)
     return (at_frame(path, frame) - at_frame(path, frame - back)) * (fps / back)
+
+
+def _point_velocity(body: Body, motion: Motion, joint: int, frame: float, point: Array | None) -> Array:
+    """Velocity J q' [m/s], (3,), at an instant, of the point [m] of the part that the joint moves."""
+    assert point is not None
+    at = np.clip([frame - INSTANT, frame, frame + INSTANT], 0, len(motion) - 1)
+    rotations, positions = (path[:, PART[joint]] for path in joint_frames(body, motion, at))
+    paths = rotations @ rotations[1].T @ (point - positions[1]) + positions
+    return (paths[2] - paths[0]) * motion.fps / (at[2] - at[0])
 
 
 def _smallest_gap(limbs: Limbs, surface: Array) -> tuple[float, float, int]:

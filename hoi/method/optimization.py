@@ -92,9 +92,8 @@ class Walk:
             self.states[run] = state = replace(state, contact=search)
             if (push := search.push) is not None:
                 with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:
-                    answer = options.contact.answer(scene, state, self.restarts, self.move, stage)
-                trajectory, search = answer
-                self.states[run] = state = replace(state, trajectory=trajectory, contact=search)
+                    state = options.contact.answer(scene, state, self.restarts, self.move, stage)
+                self.states[run] = state
 
         # Video-SDS for Contact Fidelity: theta of the frames around contact; the object's trajectory is held fixed.
         if self.plan.keeps("refine"):

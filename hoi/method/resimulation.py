@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from hoi.data import Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.frames import at_frame
+from hoi.method.contact import exchange
 from hoi.method.object_motion import Advanced, Mover, at_rest, trajectory_of
 from hoi.mpm.collider import Collider
 from hoi.mpm.state import centre_of_mass, kick
@@ -20,19 +22,31 @@ def resimulate(
     free: ObjectTrajectory,
     states: Sequence[ObjectState],
     contact: Contact,
+    limb: float,
     move: Mover,
     stage: Stage,
-) -> ObjectTrajectory:
-    """The object from t_c on, its velocity changed by V_post - V_obj; what was before stays as in `free`."""
+) -> tuple[ObjectTrajectory, Contact]:
+    """The object from t_c on, with what the impulse adds to its motion; what was before stays as in `free`.
+
+    Args:
+        limb: 1 / m_eff [1/kg]; 0 for a limb that nothing stops.
+
+    Returns:
+        the trajectory, and the contact with the impulse.
+    """
     t_c = contact.frame
-    struck = kick(_state_at(scene, free, states, t_c, move, stage), contact.v_post - contact.v_object)
+    state = _state_at(scene, free, states, t_c, move, stage)
+    contact = exchange(contact, scene.thing, state, limb)
+    struck = kick(
+        state, contact.v_post - contact.v_object, contact.spin, centre_of_mass(state.positions, scene.thing.masses)
+    )
     soon = t_c + SOON * scene.fps
     frames = [float(frame) for frame in range(scene.frames) if frame >= t_c]
     stops = sorted({soon, *frames})
     after = move(scene, struck, t_c, stops, stage)
     leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.thing.masses) - contact.v_post
     stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
-    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames])
+    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames]), contact
 
 
 def push_by(
@@ -58,7 +72,8 @@ def push_by(
     if after.pushed is None:
         stage.notes.append("the limb's capsules passed the object without touching it")
     trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
-    return trajectory, replace(contact, impulse=after.impulse, duration=(last - first) / scene.fps)
+    v_post = at_frame(trajectory.com_velocity, float(np.ceil(last)))
+    return trajectory, replace(contact, impulse=after.impulse, v_post=v_post, duration=(last - first) / scene.fps)
 
 
 def _state_at(

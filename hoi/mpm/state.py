@@ -24,8 +24,7 @@ def initial_state(
         angular_velocity: w about the centre of mass [rad/s], shape (3,).
     """
     positions = np.array(positions, dtype=np.float64)
-    wx, wy, wz = np.asarray(angular_velocity, dtype=np.float64)
-    spin = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
+    spin = _cross(angular_velocity)
     return ObjectState(
         positions=positions,
         velocities=np.asarray(velocity) + (positions - centre_of_mass(positions, masses)) @ spin.T,
@@ -34,9 +33,27 @@ def initial_state(
     )
 
 
-def kick(state: ObjectState, delta_v: ArrayLike) -> ObjectState:
-    """The state after an impulse that changes the velocity of every particle by `delta_v` [m/s], shape (3,)."""
-    return replace(state, velocities=state.velocities + np.asarray(delta_v, dtype=state.velocities.dtype))
+def kick(
+    state: ObjectState, delta_v: ArrayLike, spin: ArrayLike = (0.0, 0.0, 0.0), centre: ArrayLike = (0.0, 0.0, 0.0)
+) -> ObjectState:
+    """The state after an impulse that changes its motion as that of a rigid body.
+
+    Args:
+        delta_v: added to the velocity at `centre` [m/s], (3,).
+        spin: added to the angular velocity [rad/s], (3,).
+        centre: about which it turns [m], (3,).
+    """
+    kind, turn = state.velocities.dtype, _cross(spin)
+    added = np.asarray(delta_v) + (state.positions - np.asarray(centre)) @ turn.T
+    return replace(
+        state, velocities=state.velocities + added.astype(kind), affine=state.affine + turn.astype(state.affine.dtype)
+    )
+
+
+def _cross(vector: ArrayLike) -> Array:
+    """[w]_x, (3, 3), of w (3,)."""
+    x, y, z = np.asarray(vector, dtype=np.float64)
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def centre_of_mass(values: Array, masses: Array) -> Array:

@@ -115,8 +115,8 @@ class Geometry:
 
     def skin(self, pose: WindowedPose) -> Tensor:
         """The limb's Gaussians at the meeting's instants [m], (F, M, 3)."""
-        first = pose.window.frames[0]
-        span = slice(first, pose.window.frames[-1] + 1)
+        first = max(pose.window.frames[0] - 1, 0)  # how a motion goes between two frames depends on their neighbours
+        span = slice(first, pose.window.frames[-1] + 2)
         parts = (pose.translation[span], pose.orientation[span], pose.body_pose[span])
         return pose_means(self._body, *interpolate_pose(*parts, self._meeting.frames - first))
 

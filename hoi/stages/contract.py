@@ -177,10 +177,9 @@ class ContactModel(Option):
         """The contacts of a motion and the object's free motion."""
         raise NotImplementedError
 
-    def answer(
-        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
-    ) -> tuple[ObjectTrajectory, ContactSearch]:
-        """How the object goes on after the contact that pushes it, and the contacts with what came of them."""
+    def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
+        """How object and person go on after the contact that pushes the object: the state with their motions, and the
+        contacts with what came of them."""
         raise NotImplementedError
 
 

@@ -158,3 +158,28 @@ def test_interpolation_takes_the_shorter_arc():
 def test_interpolation_refuses_frames_outside(frame):
     with pytest.raises(ValueError, match=r"must lie in \[0, 4\]"):
         interpolate_motion(example_motion(), [frame])
+
+
+def test_interpolated_velocities_have_no_jumps_and_are_exact_where_a_limb_gains_speed_evenly():
+    seconds = np.arange(6) / 20.0
+    pose = np.zeros((6, 23, 3))
+    pose[:, 4, 2] = 0.3 + 2.0 * seconds + 0.5 * 40.0 * seconds**2
+    root = np.stack([rodrigues(np.array([0, 30.0 * s**2, 0]))[:2].ravel() for s in seconds])
+    motion = Motion(np.outer(seconds**2, [1.0, 0, 2]), root, pose, fps=20.0)
+    at = np.array([1.3, 2.0, 2.5, 3.9])
+    between = interpolate_motion(motion, at)
+    np.testing.assert_allclose(
+        between.body_pose[:, 4, 2], 0.3 + 2.0 * at / 20 + 0.5 * 40.0 * (at / 20) ** 2, atol=1e-12
+    )
+    np.testing.assert_allclose(between.translation, np.outer((at / 20) ** 2, [1.0, 0, 2]), atol=1e-12)
+    expected = np.stack([rodrigues(np.array([0, 30.0 * (a / 20) ** 2, 0]))[:2].ravel() for a in at])
+    np.testing.assert_allclose(between.orientation, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [1, 2, 3])
+def test_a_turn_in_space_is_smooth_at_its_frames(frame):
+    motion, small = example_motion(), 1e-6
+    sides = interpolate_motion(motion, [frame - small, frame, frame + small])
+    turns = roma.rotvec_to_rotmat(torch.from_numpy(sides.body_pose))
+    before, after = (roma.rotmat_to_rotvec(turns[i].mT @ turns[i + 1]) / small for i in (0, 1))
+    torch.testing.assert_close(before, after, atol=1e-3, rtol=0)

@@ -34,9 +34,12 @@ def mover_of(config):
     return config.stage.object.mover(config.object.size, 1, "cpu")
 
 
-def contact_at(frame: float, delta_v) -> Contact:
+def contact_at(frame: float, delta_v, thing) -> Contact:
+    """After which a limb that nothing stops has given a thing at rest that velocity."""
     zero, v = np.zeros(3), np.asarray(delta_v, float)
-    return Contact(frame, 11, 1.0, zero, np.array([0.0, 1, 0]), v, zero, 1.0, v, v, 0.0)
+    normal, middle = v / np.linalg.norm(v), thing.masses @ thing.particles / thing.masses.sum()
+    v_human = v / (1 + thing.material.restitution)
+    return Contact(frame, 11, 1.0, middle - 0.1 * normal, normal, v_human, zero, 1.0, zero, zero, 0.0)
 
 
 def run_stage(function):
@@ -103,7 +106,7 @@ def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     with Stages().stage("test", 1) as stage:
-        struck = resimulate(scene, free, states, contact_at(3.0, [0, 5, 1]), move, stage)
+        struck, _ = resimulate(scene, free, states, contact_at(3.0, [0, 5, 1], scene.object), 0.0, move, stage)
     assert len(struck.com) == len(struck.phase) == scene.frames
     assert stage.numbers["v_post_error"] < 1e-4
     assert stage.numbers["seconds_mpm"] + stage.numbers["seconds_flight"] == pytest.approx(4 / scene.fps)
@@ -115,7 +118,8 @@ def test_resimulation_starts_at_the_moment_of_contact(scene_of, t_c):
     config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
-    struck = run_stage(lambda stage: resimulate(scene, free, states, contact_at(t_c, [0, 5, 1]), move, stage))
+    contact = contact_at(t_c, [0, 5, 1], scene.object)
+    struck, _ = run_stage(lambda stage: resimulate(scene, free, states, contact, 0.0, move, stage))
     time = np.maximum(np.arange(scene.frames) - t_c, 0)[:, None] / scene.fps
     np.testing.assert_allclose(struck.com, free.com[0] + time * [0, 5, 1], atol=1e-4)
     np.testing.assert_array_equal(struck.positions[:3], free.positions[:3])

@@ -14,7 +14,7 @@ from hoi.stages.contract import Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config
-    from hoi.data import ContactSearch, ObjectState, ObjectTrajectory, Scene, State
+    from hoi.data import ObjectState, Scene, State
     from hoi.method.object_motion import Mover
     from hoi.reports import Stage
 
@@ -39,9 +39,7 @@ class Collider(Detection):
         rule = f"impulse where stage/object is {mover.name}: a limb can only push what the MPM moves"
         require(mover.yields, self.group, self.name, rule)
 
-    def answer(
-        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
-    ) -> tuple[ObjectTrajectory, ContactSearch]:
+    def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
         from hoi.body.limb_collider import limb_collider
         from hoi.method.resimulation import push_by
 
@@ -57,5 +55,4 @@ class Collider(Detection):
             ) from None
         stage.notes.extend(notes)
         trajectory, pushed = push_by(scene, free, restarts, push, limb, move, stage)
-        contacts = tuple(pushed if each is push else each for each in search.contacts)
-        return trajectory, replace(search, contacts=contacts)
+        return replace(state, trajectory=trajectory, contact=search.with_push(pushed))

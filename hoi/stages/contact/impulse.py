@@ -1,16 +1,16 @@
-"""The paper's contact: one impulse, after which the whole object has V_post."""
+"""The paper's contact: one impulse, after which the object has V_post; and here the limb has taken the opposite."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hoi.stages.contact import Detection
 from hoi.stages.contract import option
 
 if TYPE_CHECKING:
-    from hoi.data import ContactSearch, ObjectState, ObjectTrajectory, Scene, State
+    from hoi.data import ObjectState, Scene, State
     from hoi.method.object_motion import Mover
     from hoi.reports import Stage
 
@@ -22,11 +22,17 @@ class Impulse(Detection):
 
     since = "from t_c to T"
 
-    def answer(
-        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
-    ) -> tuple[ObjectTrajectory, ContactSearch]:
+    def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
         from hoi.method.resimulation import resimulate
 
-        assert state.trajectory is not None and state.contact is not None and state.contact.push is not None
-        push = state.contact.push
-        return resimulate(scene, state.trajectory, restarts, push, move, stage), state.contact
+        motion, free, search = state.motion, state.trajectory, state.contact
+        assert motion is not None and free is not None and search is not None and search.push is not None
+        push = search.push
+        person = self.person(scene, motion, push, stage)
+        limb = 0.0 if person is None else person.inverse_mass(push.joint, push.point, push.normal)
+        trajectory, struck = resimulate(scene, free, restarts, push, limb, move, stage)
+        if person is not None:
+            from hoi.method.reaction import react
+
+            motion = react(person, [struck], stage)
+        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(struck))
