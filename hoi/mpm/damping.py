@@ -94,9 +94,9 @@ def recoverable(damping: Damping, psi: Array, floor: float, play: Array) -> Arra
 def rebound_of(material: Material, cells: float) -> float:
     """The share of its speed that the material's own loss is to leave a body of `cells` across in a bounce [-].
 
-    From `LEAST_REBOUND` to 1: more than the grid leaves it (`grid_rebound`) it cannot have. What a spring does not know,
-    that a body leaves the ground while a part of it still comes back, takes `TAIL` (1 - e) more (measured). 1 for a law
-    of which the flow takes the energy (`Law.springs`).
+    From `LEAST_REBOUND` to 1: more than the grid leaves it (`grid_rebound`) it cannot have. What a spring does not
+    know, that a body leaves the ground while a part of it still comes back, takes `TAIL` (1 - e) more (measured). 1 for
+    a law of which the flow takes the energy (`Law.springs`).
     """
     if not LAWS[material.model].springs:
         return 1.0

@@ -30,7 +30,7 @@ import functools
 from collections.abc import Sequence
 
 from hoi.compute import CPU_TASK, ti
-from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule
+from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule, nearest_plane
 from hoi.mpm.damping import LEAST_ENERGY, STIFFENING
 from hoi.mpm.law import LAM, MU, Kernels
 from hoi.mpm.laws import LAWS
@@ -170,9 +170,9 @@ def played(t0, t1, t2, p, materials: ti.template(), row, play):
 def scatter(p, first, atomic: ti.template(), damped: ti.template(), size: ti.template(), models: ti.template(),
             x: ti.template(), v: ti.template(), c: ti.template(), f: ti.template(), hardening: ti.template(),
             play: ti.template(), mass: ti.template(), volume: ti.template(), region: ti.template(),
-            materials: ti.template(), grid: ti.template(), status: ti.template(), near, capsules: ti.template(),
-            touched: ti.template(), now, dt, dx, inv_dx, tolerance, origin: ti.template(),
-            shape: ti.template()):  # fmt: skip
+            materials: ti.template(), grid: ti.template(), slope: ti.template(), status: ti.template(), near,
+            planes: ti.template(), capsules: ti.template(), touched: ti.template(), now, dt, dx, inv_dx, tolerance,
+            origin: ti.template(), shape: ti.template()):  # fmt: skip
     """p2g of one particle into the grid copy that starts at node `first`; marks its nodes where it is in a capsule."""
     position = x[p]
     bx, fx = locate(size, position[0], inv_dx, origin[0])
@@ -211,13 +211,21 @@ def scatter(p, first, atomic: ti.template(), damped: ti.template(), size: ti.tem
             if in_a_capsule(place, capsules, now) != 0:
                 for a, b, k in ti.ndrange(size, size, size):
                     touched[((bx + a) * shape[1] + by + b) * shape[2] + bz + k] = 1
+            plane = nearest_plane(place, 0.5 * size * dx, planes)
+            if plane >= 0:
+                normal = planes[2 * plane]
+                along = mass[p] * (normal[0] * c0 + normal[1] * c1 + normal[2] * c2)
+                for a, b, k in ti.ndrange(size, size, size):
+                    node = first + ((bx + a) * shape[1] + by + b) * shape[2] + bz + k
+                    add(slope, node, wx[a] * wy[b] * wz[k] * along, atomic)
     else:
         status[INVERTED] = 1
 
 
 @ti.func
-def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.template(), capsules: ti.template(),
-                touched: ti.template(), dt, dx, gravity: ti.template(), now, shape: ti.template()):  # fmt: skip
+def update_node(node, nodes, copies, near, grid: ti.template(), slope: ti.template(), planes: ti.template(),
+                capsules: ti.template(), touched: ti.template(), dt, dx, gravity: ti.template(), now,
+                shape: ti.template()):  # fmt: skip
     """Sums and clears the copies of a node, divides by its mass, adds gravity and holds it to what is solid.
 
     The velocity goes to the first grid, the copies lie behind it. Returns the momentum that capsules gave.
@@ -226,6 +234,11 @@ def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.templ
     for copy in range(1, copies + 1):
         total += grid[copy * nodes + node]
         grid[copy * nodes + node] = zero()
+    turning = zero()
+    if near != 0:
+        for copy in range(1, copies + 1):
+            turning += slope[copy * nodes + node]
+            slope[copy * nodes + node] = zero()
     given = zero()
     mass = total[3]
     if mass > 0.0:
@@ -244,7 +257,7 @@ def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.templ
                 touched[node] = 0
                 pushed = hold_to_capsules(velocity, place, capsules, now)
                 given = mass * (pushed - velocity)
-            velocity = hold_to_planes(pushed, place, planes)
+            velocity = hold_to_planes(pushed, turning * (1.0 / mass), place, planes, dx)
         total = velocity
     grid[node] = total
     return given
@@ -333,6 +346,7 @@ def advance_serial(
     region: ti.types.ndarray(),
     materials: ti.types.ndarray(),
     grid: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
     planes: ti.types.ndarray(),
     capsules: ti.types.ndarray(),
     touched: ti.types.ndarray(),
@@ -359,10 +373,10 @@ def advance_serial(
         while done < steps and status[AT_RIM] == 0 and status[INVERTED] == 0:
             for p in range(x.shape[0]):
                 scatter(p, nodes, False, damped, size, models, x, v, c, f, hardening, play, mass, volume, region,
-                        materials, grid, status, near, capsules, touched, (done + 1.0) * dt, dt, dx, inv_dx,
-                        tolerance, origin, shape)  # fmt: skip
+                        materials, grid, slope, status, near, planes, capsules, touched, (done + 1.0) * dt, dt, dx,
+                        inv_dx, tolerance, origin, shape)  # fmt: skip
             for node in range(nodes):
-                pushed += update_node(node, nodes, 1, near, grid, planes, capsules, touched, dt, dx, gravity,
+                pushed += update_node(node, nodes, 1, near, grid, slope, planes, capsules, touched, dt, dx, gravity,
                                       (done + 1.0) * dt, shape)  # fmt: skip
             for p in range(x.shape[0]):
                 gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
@@ -394,6 +408,7 @@ def step_parallel(
     region: ti.types.ndarray(),
     materials: ti.types.ndarray(),
     grid: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
     planes: ti.types.ndarray(),
     capsules: ti.types.ndarray(),
     touched: ti.types.ndarray(),
@@ -422,12 +437,12 @@ def step_parallel(
         if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
             for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
                 scatter(p, (1 + share % copies) * nodes, atomic, damped, size, models, x, v, c, f, hardening, play,
-                        mass, volume, region, materials, grid, status, near, capsules, touched, (number + 1.0) * dt,
-                        dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
+                        mass, volume, region, materials, grid, slope, status, near, planes, capsules, touched,
+                        (number + 1.0) * dt, dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(nodes if ti.static(atomic) else shares * CPU_TASK):
         if ti.static(atomic):
-            pushed = update_node(i, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
+            pushed = update_node(i, nodes, copies, near, grid, slope, planes, capsules, touched, dt, dx, gravity,
                                  (number + 1.0) * dt, shape)  # fmt: skip
             if near != 0:
                 ti.atomic_add(given[0], pushed)
@@ -435,8 +450,8 @@ def step_parallel(
             share = i // CPU_TASK
             pushed = given[share]
             for node in range(share * slab, ti.min((share + 1) * slab, nodes)):
-                pushed += update_node(node, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
-                                      (number + 1.0) * dt, shape)  # fmt: skip
+                pushed += update_node(node, nodes, copies, near, grid, slope, planes, capsules, touched, dt, dx,
+                                      gravity, (number + 1.0) * dt, shape)  # fmt: skip
             given[share] = pushed
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(shares if ti.static(atomic) else shares * CPU_TASK):

@@ -252,7 +252,7 @@ class Simulation:
     def memory(self) -> int:
         """Bytes of particles and grid."""
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
-                  self.region_of, self.grid, self.touched)  # fmt: skip
+                  self.region_of, self.grid, self.slope, self.touched)  # fmt: skip
         return sum(array.to_numpy().nbytes for array in arrays)
 
     def advance(self, until: float) -> None:
@@ -394,6 +394,7 @@ class Simulation:
             self.placed_at = first
         if shape.prod() != self.nodes:  # the copies begin elsewhere, and are to be clear
             self.grid.fill(0.0)
+            self.slope.fill(0.0)
             self.nodes = shape.prod()
         self.refits += 1
         return first, shape
@@ -418,8 +419,8 @@ class Simulation:
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
-                  self.region_of, self.parameters, self.grid, self.plane_rows, self._capsules(origin), self.touched,
-                  self.given, self.status)  # fmt: skip
+                  self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, self._capsules(origin),
+                  self.touched, self.given, self.status)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
         if self.serial:
@@ -477,6 +478,8 @@ class Simulation:
 
     def _new_grid(self, nodes: int) -> None:
         self.grid = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
+        self.slope = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
+        self.slope.fill(0.0)
         self.touched = ti.ndarray(ti.i32, nodes)
         self.touched.fill(0)
         self.nodes = 0
