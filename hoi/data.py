@@ -255,6 +255,8 @@ class ObjectState:
     """F_E [-], shape (P, 3, 3), where it is not `deformation_gradient`: metal, clay, foam, snow."""
     hardening: Array | None = None
     """What the flow has left behind in each particle [-], shape (P,); see `hoi.mpm.laws`."""
+    play: Array | None = None
+    """Where each particle is in its hysteresis [-], shape (P,), where the solid loses energy; see `hoi.mpm.damping`."""
 
 
 @dataclass(frozen=True)

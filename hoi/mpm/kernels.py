@@ -30,8 +30,9 @@ import functools
 from collections.abc import Sequence
 
 from hoi.compute import CPU_TASK, ti
-from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule
-from hoi.mpm.law import Kernels
+from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule, nearest_plane
+from hoi.mpm.damping import LEAST_ENERGY, STIFFENING
+from hoi.mpm.law import LAM, MU, Kernels
 from hoi.mpm.laws import LAWS
 from hoi.mpm.tensor_kernels import epsilon
 
@@ -151,11 +152,27 @@ def stiffness(model: ti.template(), f, j, p, hardening):
 
 
 @ti.func
-def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.template(), x: ti.template(),
-            v: ti.template(), c: ti.template(), f: ti.template(), hardening: ti.template(), mass: ti.template(),
-            volume: ti.template(), region: ti.template(), materials: ti.template(), grid: ti.template(),
-            status: ti.template(), near, capsules: ti.template(), touched: ti.template(), now, dt, dx, inv_dx,
-            tolerance, origin: ti.template(), shape: ti.template()):  # fmt: skip
+def played(t0, t1, t2, p, materials: ti.template(), row, play):
+    """The factor s on the stress of a solid that loses energy, and where its play is (`hoi.mpm.damping`)."""
+    least, steepness = materials[3 * row + 2][2], materials[3 * row + 2][3]
+    s, kept = 1.0, 0.0
+    if steepness > 0.0:
+        mean = (t0[0] + t1[1] + t2[2]) / 3.0
+        deviator = ti.max(t0.dot(t0) + t1.dot(t1) + t2.dot(t2) - 3.0 * mean * mean, 0.0)
+        psi = deviator / (4.0 * p[MU]) + mean * mean / (2.0 * p[LAM] + 4.0 / 3.0 * p[MU])
+        level = steepness * ti.log(1.0 + psi / (LEAST_ENERGY * p[MU]))
+        s = ti.min(ti.max(1.0 - play + level, least), 1.0)
+        kept = 1.0 - s + level
+    return s, kept
+
+
+@ti.func
+def scatter(p, first, atomic: ti.template(), damped: ti.template(), size: ti.template(), models: ti.template(),
+            x: ti.template(), v: ti.template(), c: ti.template(), f: ti.template(), hardening: ti.template(),
+            play: ti.template(), mass: ti.template(), volume: ti.template(), region: ti.template(),
+            materials: ti.template(), grid: ti.template(), slope: ti.template(), status: ti.template(), near,
+            planes: ti.template(), capsules: ti.template(), touched: ti.template(), now, dt, dx, inv_dx, tolerance,
+            origin: ti.template(), shape: ti.template()):  # fmt: skip
     """p2g of one particle into the grid copy that starts at node `first`; marks its nodes where it is in a capsule."""
     position = x[p]
     bx, fx = locate(size, position[0], inv_dx, origin[0])
@@ -173,6 +190,9 @@ def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.tem
                     models[i], f0, f1, f2, j, c0, c1, c2, parameters_of(materials, row),
                     hardening[ti.min(p, hardening.shape[0] - 1)], tolerance,
                 )  # fmt: skip
+        if ti.static(damped):
+            s, play[p] = played(t0, t1, t2, parameters_of(materials, row), materials, row, play[p])
+            t0, t1, t2 = s * t0, s * t1, s * t2
         inertia = mass[p] * dx
         force = -dt * volume[p] * inverse_inertia(size) / dx
         # Momentum per cell along each axis, then at the first node; the last place carries the mass.
@@ -191,13 +211,21 @@ def scatter(p, first, atomic: ti.template(), size: ti.template(), models: ti.tem
             if in_a_capsule(place, capsules, now) != 0:
                 for a, b, k in ti.ndrange(size, size, size):
                     touched[((bx + a) * shape[1] + by + b) * shape[2] + bz + k] = 1
+            plane = nearest_plane(place, 0.5 * size * dx, planes)
+            if plane >= 0:
+                normal = planes[2 * plane]
+                along = mass[p] * (normal[0] * c0 + normal[1] * c1 + normal[2] * c2)
+                for a, b, k in ti.ndrange(size, size, size):
+                    node = first + ((bx + a) * shape[1] + by + b) * shape[2] + bz + k
+                    add(slope, node, wx[a] * wy[b] * wz[k] * along, atomic)
     else:
         status[INVERTED] = 1
 
 
 @ti.func
-def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.template(), capsules: ti.template(),
-                touched: ti.template(), dt, dx, gravity: ti.template(), now, shape: ti.template()):  # fmt: skip
+def update_node(node, nodes, copies, near, grid: ti.template(), slope: ti.template(), planes: ti.template(),
+                capsules: ti.template(), touched: ti.template(), dt, dx, gravity: ti.template(), now,
+                shape: ti.template()):  # fmt: skip
     """Sums and clears the copies of a node, divides by its mass, adds gravity and holds it to what is solid.
 
     The velocity goes to the first grid, the copies lie behind it. Returns the momentum that capsules gave.
@@ -206,6 +234,11 @@ def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.templ
     for copy in range(1, copies + 1):
         total += grid[copy * nodes + node]
         grid[copy * nodes + node] = zero()
+    turning = zero()
+    if near != 0:
+        for copy in range(1, copies + 1):
+            turning += slope[copy * nodes + node]
+            slope[copy * nodes + node] = zero()
     given = zero()
     mass = total[3]
     if mass > 0.0:
@@ -224,7 +257,7 @@ def update_node(node, nodes, copies, near, grid: ti.template(), planes: ti.templ
                 touched[node] = 0
                 pushed = hold_to_capsules(velocity, place, capsules, now)
                 given = mass * (pushed - velocity)
-            velocity = hold_to_planes(pushed, place, planes)
+            velocity = hold_to_planes(pushed, turning * (1.0 / mass), place, planes, dx)
         total = velocity
     grid[node] = total
     return given
@@ -298,6 +331,7 @@ def gather(p, size: ti.template(), models: ti.template(), x: ti.template(), v: t
 def advance_serial(
     steps: int,
     near: int,
+    damped: ti.template(),
     size: ti.template(),
     models: ti.template(),
     x: ti.types.ndarray(),
@@ -306,11 +340,13 @@ def advance_serial(
     f: ti.types.ndarray(),
     total: ti.types.ndarray(),
     hardening: ti.types.ndarray(),
+    play: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     volume: ti.types.ndarray(),
     region: ti.types.ndarray(),
     materials: ti.types.ndarray(),
     grid: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
     planes: ti.types.ndarray(),
     capsules: ti.types.ndarray(),
     touched: ti.types.ndarray(),
@@ -336,11 +372,11 @@ def advance_serial(
         pushed = zero()
         while done < steps and status[AT_RIM] == 0 and status[INVERTED] == 0:
             for p in range(x.shape[0]):
-                scatter(p, nodes, False, size, models, x, v, c, f, hardening, mass, volume, region, materials, grid,
-                        status, near, capsules, touched, (done + 1.0) * dt, dt, dx, inv_dx, tolerance, origin,
-                        shape)  # fmt: skip
+                scatter(p, nodes, False, damped, size, models, x, v, c, f, hardening, play, mass, volume, region,
+                        materials, grid, slope, status, near, planes, capsules, touched, (done + 1.0) * dt, dt, dx,
+                        inv_dx, tolerance, origin, shape)  # fmt: skip
             for node in range(nodes):
-                pushed += update_node(node, nodes, 1, near, grid, planes, capsules, touched, dt, dx, gravity,
+                pushed += update_node(node, nodes, 1, near, grid, slope, planes, capsules, touched, dt, dx, gravity,
                                       (done + 1.0) * dt, shape)  # fmt: skip
             for p in range(x.shape[0]):
                 gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
@@ -357,6 +393,7 @@ def step_parallel(
     shares: int,
     copies: int,
     atomic: ti.template(),
+    damped: ti.template(),
     size: ti.template(),
     models: ti.template(),
     x: ti.types.ndarray(),
@@ -365,11 +402,13 @@ def step_parallel(
     f: ti.types.ndarray(),
     total: ti.types.ndarray(),
     hardening: ti.types.ndarray(),
+    play: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     volume: ti.types.ndarray(),
     region: ti.types.ndarray(),
     materials: ti.types.ndarray(),
     grid: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
     planes: ti.types.ndarray(),
     capsules: ti.types.ndarray(),
     touched: ti.types.ndarray(),
@@ -397,13 +436,13 @@ def step_parallel(
         share = i if ti.static(atomic) else i // CPU_TASK
         if (ti.static(atomic) or i % CPU_TASK == 0) and status[STOP] == 0:
             for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
-                scatter(p, (1 + share % copies) * nodes, atomic, size, models, x, v, c, f, hardening, mass, volume,
-                        region, materials, grid, status, near, capsules, touched, (number + 1.0) * dt, dt, dx,
-                        inv_dx, tolerance, origin, shape)  # fmt: skip
+                scatter(p, (1 + share % copies) * nodes, atomic, damped, size, models, x, v, c, f, hardening, play,
+                        mass, volume, region, materials, grid, slope, status, near, planes, capsules, touched,
+                        (number + 1.0) * dt, dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(nodes if ti.static(atomic) else shares * CPU_TASK):
         if ti.static(atomic):
-            pushed = update_node(i, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
+            pushed = update_node(i, nodes, copies, near, grid, slope, planes, capsules, touched, dt, dx, gravity,
                                  (number + 1.0) * dt, shape)  # fmt: skip
             if near != 0:
                 ti.atomic_add(given[0], pushed)
@@ -411,8 +450,8 @@ def step_parallel(
             share = i // CPU_TASK
             pushed = given[share]
             for node in range(share * slab, ti.min((share + 1) * slab, nodes)):
-                pushed += update_node(node, nodes, copies, near, grid, planes, capsules, touched, dt, dx, gravity,
-                                      (number + 1.0) * dt, shape)  # fmt: skip
+                pushed += update_node(node, nodes, copies, near, grid, slope, planes, capsules, touched, dt, dx,
+                                      gravity, (number + 1.0) * dt, shape)  # fmt: skip
             given[share] = pushed
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(shares if ti.static(atomic) else shares * CPU_TASK):
@@ -454,6 +493,7 @@ def look(
                         models[i], deformation, deformation.determinant(), parameters_of(materials, row),
                         hardening[ti.min(p, hardening.shape[0] - 1)],
                     ) / materials[3 * row + 2][0]  # fmt: skip
+            stiff *= 1.0 + STIFFENING * materials[3 * row + 2][3]
             c0, c1, c2 = c[3 * p], c[3 * p + 1], c[3 * p + 2]
             spread = 0.5 * dx * ti.sqrt(c0.dot(c0) + c1.dot(c1) + c2.dot(c2))
             speed = (ti.sqrt(velocity.dot(velocity)) + spread) ** 2

@@ -97,6 +97,8 @@ class Law:
     """Whether it bears shear at rest; if not its mu is 0, and its waves need lambda > 0."""
     viscous: bool = False
     """Whether `viscosity` acts explicitly, in the stress, so that it limits the time step."""
+    springs: bool = False
+    """Whether it rebounds as `restitution` says (`hoi.mpm.damping`); else its flow alone takes energy."""
     order: int = 100
     """Where it stands in lists; laws of one order by name."""
 

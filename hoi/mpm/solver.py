@@ -14,6 +14,7 @@ from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
 from hoi.mpm import boundary, kernels
 from hoi.mpm.collider import Collider
+from hoi.mpm.damping import Damping, damping
 from hoi.mpm.law import PARAMETERS
 from hoi.mpm.laws import LAWS
 from hoi.mpm.materials import parameters
@@ -141,6 +142,8 @@ class Simulation:
         dt: time step [s]; None chooses it every few steps from the fastest particle and the stiffest deformed state.
             Every interval is cut into equal steps of at most this, so that its end is met exactly.
         fraction: share of the stability limit that a chosen step takes, in (0, 1].
+        rebound: share of its speed that each material's own loss leaves a body in a bounce [-], see `hoi.mpm.damping`;
+            None: elastic.
         gravity: [m/s^2], shape (3,).
         planes: what is solid; None: the ground z = 0 with the first material's friction; () is empty space.
         collider: capsules that move through the grid; times count from the start of the simulation.
@@ -166,6 +169,7 @@ class Simulation:
         dt: float | None = None,
         fraction: float = DEFAULT_FRACTION,
         region: NDArray[np.integer[Any]] | None = None,
+        rebound: Sequence[float] | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         planes: Sequence[Plane] | None = None,
         collider: Collider | None = None,
@@ -177,6 +181,8 @@ class Simulation:
         check_state(state, volumes)
         self.materials = (material,) if isinstance(material, Material) else tuple(material)
         self.region = _check_region(region, len(volumes), len(self.materials))
+        self.dampings = _check_rebound(rebound, self.materials)
+        self.damped = any(damping.steepness for damping in self.dampings)
         self.volumes = np.asarray(volumes, dtype=np.float64)
         densities = np.array([material.density for material in self.materials])
         self.masses = self.volumes * densities[0 if self.region is None else self.region]
@@ -184,7 +190,7 @@ class Simulation:
         if self.gravity.shape != (3,) or not np.isfinite(self.gravity).all():
             raise InputError(f"gravity must be three finite numbers [m/s^2], got {self.gravity.tolist()}")
         speed = float(np.linalg.norm(state.velocities, axis=1).max())
-        choose_time_step(self.materials, dx, speed, dt, fraction)
+        choose_time_step(self.materials, dx, speed, dt, fraction, [damping.stiffening for damping in self.dampings])
         if spline not in ("quadratic", "cubic"):
             raise InputError(f"mpm spline must be quadratic or cubic, got {spline!r}")
         self.dx, self.dt, self.fraction = dx, dt, fraction
@@ -223,11 +229,13 @@ class Simulation:
         self.total = _vectors(_columns(state.deformation_gradient) if self.keeps_total else np.zeros((1, 3)), real)
         hardening = np.zeros(count) if state.hardening is None else state.hardening
         self.hardening = _numbers(hardening if self.flows else np.zeros(1), real)
+        play = np.zeros(count) if state.play is None else state.play
+        self.play = _numbers(play if self.damped else np.zeros(1), real)
         self.mass, self.volume = _numbers(self.masses, real), _numbers(self.volumes, real)
         self.region_of = _numbers(np.zeros(1) if self.region is None else self.region, ti.i32)
         rows = [
-            [*_padded(material), material.density, self.models.index(material.model), 0.0, 0.0]
-            for material in self.materials
+            [*_padded(material), material.density, self.models.index(material.model), loss.least, loss.steepness]
+            for material, loss in zip(self.materials, self.dampings, strict=True)
         ]
         self.parameters = _vectors(np.reshape(rows, (-1, 4)), real)
         self._new_grid(1)
@@ -243,8 +251,8 @@ class Simulation:
     @property
     def memory(self) -> int:
         """Bytes of particles and grid."""
-        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
-                  self.grid, self.touched)  # fmt: skip
+        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
+                  self.region_of, self.grid, self.slope, self.touched)  # fmt: skip
         return sum(array.to_numpy().nbytes for array in arrays)
 
     def advance(self, until: float) -> None:
@@ -324,6 +332,7 @@ class Simulation:
             deformation_gradient=total,
             elastic=elastic if self.keeps_total else None,
             hardening=self.hardening.to_numpy() if self.flows else None,
+            play=self.play.to_numpy() if self.damped else None,
         )
         arrays = (state.positions, state.velocities, state.affine, total, elastic)
         finite = np.all([np.isfinite(a.reshape(len(a), -1)).all(axis=1) for a in arrays], axis=0)
@@ -339,7 +348,7 @@ class Simulation:
     def energies(self, state: ObjectState) -> Array:
         """Kinetic, elastic and potential energy of a state [J], shape (3,)."""
         spread = 1 / (4 if self.size == 3 else 3)
-        return energies(state, self.volumes, self.materials, self.dx, self.gravity, self.region, spread)
+        return energies(state, self.volumes, self.materials, self.dx, self.gravity, self.region, spread, self.dampings)
 
     def bounds(self) -> tuple[Array, float]:
         """Corners of a box around the particles [m], shape (8, 3), and a bound of their speeds [m/s]."""
@@ -385,6 +394,7 @@ class Simulation:
             self.placed_at = first
         if shape.prod() != self.nodes:  # the copies begin elsewhere, and are to be clear
             self.grid.fill(0.0)
+            self.slope.fill(0.0)
             self.nodes = shape.prod()
         self.refits += 1
         return first, shape
@@ -408,19 +418,28 @@ class Simulation:
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
-        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.mass, self.volume, self.region_of,
-                  self.parameters, self.grid, self.plane_rows, self._capsules(origin), self.touched, self.given,
-                  self.status)  # fmt: skip
+        arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
+                  self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, self._capsules(origin),
+                  self.touched, self.given, self.status)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
         if self.serial:
-            kernels.advance_serial(steps, int(near), self.size, self.models, *arrays, *numbers)
+            kernels.advance_serial(steps, int(near), self.damped, self.size, self.models, *arrays, *numbers)
         else:
             self.given.fill(0.0)
             shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
             for number in range(steps):
                 kernels.step_parallel(
-                    number, int(near), shares, copies, self.on_gpu, self.size, self.models, *arrays, *numbers
+                    number,
+                    int(near),
+                    shares,
+                    copies,
+                    self.on_gpu,
+                    self.damped,
+                    self.size,
+                    self.models,
+                    *arrays,
+                    *numbers,
                 )
         if near:
             self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
@@ -459,6 +478,8 @@ class Simulation:
 
     def _new_grid(self, nodes: int) -> None:
         self.grid = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
+        self.slope = ti.Vector.ndarray(4, self.real, nodes * (self.threads + 1))
+        self.slope.fill(0.0)
         self.touched = ti.ndarray(ti.i32, nodes)
         self.touched.fill(0)
         self.nodes = 0
@@ -528,6 +549,14 @@ def _check_region(region: Any, count: int, materials: int) -> NDArray[np.int32] 
             f"from {region.min()} to {region.max()}"
         )
     return region.astype(np.int32)
+
+
+def _check_rebound(rebound: Sequence[float] | None, materials: Sequence[Material]) -> tuple[Damping, ...]:
+    if rebound is None:
+        return tuple(Damping() for _ in materials)
+    if len(rebound) != len(materials) or not all(0 < share <= 1 for share in rebound):
+        raise InputError(f"mpm rebound must be {len(materials)} numbers in (0, 1], got {list(rebound)}")
+    return tuple(damping(share) for share in rebound)
 
 
 def _check_plane(plane: Plane) -> None:

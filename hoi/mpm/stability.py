@@ -60,7 +60,9 @@ def cfl_number(material: Material | Sequence[Material], dx: float, dt: float, sp
     return (max(p_wave_speed(m) for m in _materials(material)) + speed) * dt / dx
 
 
-def time_step_limit(material: Material | Sequence[Material], dx: float, speed: float = 0.0) -> float:
+def time_step_limit(
+    material: Material | Sequence[Material], dx: float, speed: float = 0.0, stiffening: Sequence[float] | None = None
+) -> float:
     """The largest dt [s] that is stable for cells of size `dx` [m] and particles no faster than `speed` [m/s].
 
     Of several materials the one with the smallest step counts.
@@ -68,7 +70,7 @@ def time_step_limit(material: Material | Sequence[Material], dx: float, speed: f
     Raises:
         InputError: a material, dx or speed that makes no sense.
     """
-    return _tightest(material, dx, speed)[0]
+    return _tightest(material, dx, speed, stiffening)[0]
 
 
 def choose_time_step(
@@ -77,6 +79,7 @@ def choose_time_step(
     speed: float,
     dt: float | None = None,
     fraction: float = DEFAULT_FRACTION,
+    stiffening: Sequence[float] | None = None,
 ) -> float:
     """The time step [s] to simulate with: `dt` if that is given and stable, else `fraction` of the limit.
 
@@ -86,11 +89,12 @@ def choose_time_step(
         speed: of the fastest particle expected [m/s].
         dt: a fixed time step [s], or None.
         fraction: share of the limit to take when dt is None, in (0, 1].
+        stiffening: of each material, the tangent over the elastic one where it loses energy (`hoi.mpm.damping`) [-].
 
     Raises:
         InputError: dt is above the limit, or a value makes no sense.
     """
-    limit, tightest = _tightest(material, dx, speed)
+    limit, tightest = _tightest(material, dx, speed, stiffening)
     if not 0 < fraction <= 1:
         raise InputError(f"mpm fraction of the time step limit must lie in (0, 1], got {fraction:g}")
     if dt is None:
@@ -111,11 +115,17 @@ def _materials(material: Material | Sequence[Material]) -> Sequence[Material]:
     return (material,) if isinstance(material, Material) else material
 
 
-def _tightest(material: Material | Sequence[Material], dx: float, speed: float) -> tuple[float, Material]:
+def _tightest(
+    material: Material | Sequence[Material], dx: float, speed: float, stiffening: Sequence[float] | None
+) -> tuple[float, Material]:
     """The limit [s] and the material that sets it."""
     if not (math.isfinite(dx) and dx > 0):
         raise InputError(f"mpm dx must be positive and finite [m], got {dx:g}")
     if not (math.isfinite(speed) and speed >= 0):
         raise InputError(f"mpm speed must be 0 or more and finite [m/s], got {speed:g}")
-    limits = [(stable_step(dx, p_wave_speed(m) + speed, diffusivity(m)), m) for m in _materials(material)]
+    stiffening = [1.0] * len(_materials(material)) if stiffening is None else stiffening
+    limits = [
+        (stable_step(dx, p_wave_speed(m) * math.sqrt(factor) + speed, diffusivity(m)), m)
+        for m, factor in zip(_materials(material), stiffening, strict=True)
+    ]
     return min(limits, key=lambda limit: limit[0])

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hoi.data import Array, Material, ObjectState
 from hoi.errors import InputError
-from hoi.mpm.materials import elastic_energy_density
+from hoi.mpm.damping import LEAST_ENERGY, Damping, complementary_energy, recoverable
+from hoi.mpm.materials import elastic_energy_density, kirchhoff_stress, lame_parameters
 
 
 def initial_state(
@@ -70,6 +71,7 @@ def energies(
     gravity: ArrayLike,
     region: NDArray[np.integer[Any]] | None = None,
     spread: float = 0.25,
+    dampings: Sequence[Damping] | None = None,
 ) -> Array:
     """Kinetic, elastic and potential energy [J], shape (3,); `region` is each particle's material, shape (P,).
 
@@ -89,7 +91,12 @@ def energies(
     elastic = 0.0
     for index, m in enumerate(materials):
         own = region == index
-        elastic += volumes[own] @ elastic_energy_density(m, f[own], hardening[own])
+        density = elastic_energy_density(m, f[own], hardening[own])
+        if dampings is not None and dampings[index].steepness and state.play is not None:
+            mu, lam = lame_parameters(m)
+            psi = complementary_energy(kirchhoff_stress(m, f[own], 0.0, hardening[own]), mu, lam)
+            density *= recoverable(dampings[index], psi, LEAST_ENERGY * mu, state.play[own].astype(np.float64))
+        elastic += volumes[own] @ density
     return np.array([kinetic, elastic, -masses @ (x @ np.asarray(gravity, dtype=np.float64))])
 
 
@@ -124,6 +131,8 @@ def check_state(state: ObjectState, volumes: Array) -> None:
         shapes["elastic"] = (count, 3, 3)
     if state.hardening is not None:
         shapes["hardening"] = (count,)
+    if state.play is not None:
+        shapes["play"] = (count,)
     if count == 0:
         raise InputError("object state has no particles; at least one is needed")
     for name, shape in shapes.items():

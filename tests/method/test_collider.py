@@ -321,7 +321,7 @@ def test_a_punch_moves_the_ball_and_is_recorded_in_its_contact(conf):
     np.testing.assert_array_equal(trajectory.positions[:before], free.positions[:before])
     mass = scene.object.masses.sum()
     np.testing.assert_allclose(mass * trajectory.com_velocity[-1], pushed.impulse, rtol=0.01, atol=1e-3 * mass)
-    assert 4.5 < trajectory.com_velocity[-1][1] < 6.0
+    assert 4.2 < trajectory.com_velocity[-1][1] < 4.8  # 3 (1 + e), e of 0.6 less what the limb's capsules lose
     assert 0.002 < pushed.duration < 0.05
     np.testing.assert_allclose(pushed.v_post, pushed.impulse / mass, rtol=0.02)
     np.testing.assert_array_equal(pushed.v_formula, contact.v_formula)

@@ -70,14 +70,20 @@ def step(
     grid_velocity = np.zeros((shape.prod(), 3))
     np.add.at(grid_mass, flat, w * masses[:, None])
     np.add.at(grid_velocity, flat, w[..., None] * momentum)
+    slope = np.zeros_like(grid_velocity)
+    np.add.at(slope, flat, w[..., None] * (masses[:, None] * along_normal(x, c, planes, dx, spline))[:, None])
 
     # Grid: velocity, gravity, planes (solid from half a cell below their surface; why so, see hoi.mpm.boundary).
     occupied = grid_mass > 0
+    slope[occupied] /= grid_mass[occupied, None]
     grid_velocity[occupied] = grid_velocity[occupied] / grid_mass[occupied, None] + dt * np.asarray(gravity)
     places = (np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape)), axis=-1) + origin) * dx
     for plane in planes:
-        solid = (places - plane.point) @ plane.normal < -0.5 * dx
-        grid_velocity[solid] = after_contact(grid_velocity[solid], plane)
+        height = (places - plane.point) @ plane.normal
+        solid = height < -0.5 * dx
+        tangential = slope - (slope @ plane.normal)[:, None] * plane.normal
+        to_surface = (-height[:, None] * tangential)[solid]
+        grid_velocity[solid] = after_contact(grid_velocity[solid] + to_surface, plane) - to_surface
 
     # Grid to particle.
     nodal = grid_velocity[flat]
@@ -87,6 +93,16 @@ def step(
     keeps = LAWS[material.model].keeps_total
     total = total + dt * gradient @ total if keeps else f
     return ObjectState(x + dt * velocity, velocity, gradient, total, f if keeps else None, hardening)
+
+
+def along_normal(x: Array, c: Array, planes: Sequence[Plane], dx: float, spline: str) -> Array:
+    """C n of each particle, n the normal of the nearest plane that rubs, 0 where none is near, (P, 3)."""
+    slope, nearest = np.zeros_like(x), np.full(len(x), (1.5 if spline == "quadratic" else 2.0) * dx)
+    for plane in planes:
+        height = (x - plane.point) @ plane.normal + 0.5 * dx
+        nearer = (height < nearest) & (plane.contact != "slip")
+        slope[nearer], nearest[nearer] = c[nearer] @ plane.normal, height[nearer]
+    return slope
 
 
 def after_contact(velocities: Array, plane: Plane) -> Array:

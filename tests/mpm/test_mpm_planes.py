@@ -44,7 +44,7 @@ def test_a_block_slides_down_with_what_friction_leaves(degrees, contact, frictio
     _, velocity, _ = on_slope(degrees, times, contact, friction)
     a = np.radians(degrees)
     acceleration = np.polyfit(times, velocity[:, 0], 1)[0]
-    assert acceleration == pytest.approx(G * (np.sin(a) - friction * np.cos(a)), rel=0.03)
+    assert acceleration == pytest.approx(G * (np.sin(a) - friction * np.cos(a)), rel=0.04)
     assert np.abs(velocity[:, 1]).max() < 1e-3
 
 

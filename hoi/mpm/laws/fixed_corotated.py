@@ -41,4 +41,4 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness)
 
 
-LAW = Law(energy_density, kirchhoff_stress, kernels, order=1)
+LAW = Law(energy_density, kirchhoff_stress, kernels, springs=True, order=1)

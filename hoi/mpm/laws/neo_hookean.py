@@ -47,4 +47,4 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness, stress_columns=stress_columns)
 
 
-LAW = Law(energy_density, kirchhoff_stress, kernels, order=2)
+LAW = Law(energy_density, kirchhoff_stress, kernels, springs=True, order=2)

@@ -8,4 +8,4 @@ from dataclasses import replace
 
 from hoi.mpm.laws import von_mises
 
-LAW = replace(von_mises.LAW, uses=von_mises.LAW.uses | {"viscosity"}, order=4)
+LAW = replace(von_mises.LAW, uses=von_mises.LAW.uses | {"viscosity"}, springs=False, order=4)

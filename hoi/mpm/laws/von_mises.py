@@ -67,5 +67,5 @@ def kernels() -> Kernels:
 
 LAW = Law(
     energy_density, kirchhoff_stress, kernels, return_map, parameters,
-    uses=frozenset({"yield_stress", "hardening"}), keeps_total=True, order=3,
+    uses=frozenset({"yield_stress", "hardening"}), keeps_total=True, springs=True, order=3,
 )  # fmt: skip

@@ -16,7 +16,7 @@ from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config
-    from hoi.data import ObjectState, Scene
+    from hoi.data import Material, ObjectState, Scene
     from hoi.method.object_motion import Advanced, Mover, World
     from hoi.mpm.collider import Collider
     from hoi.mpm.phases import Tally
@@ -54,6 +54,8 @@ class MPM(ObjectMover):
     """B-splines between particles and grid."""
     precision: Precision = MISSING
     """Of particles and grid."""
+    damping: bool = MISSING
+    """Solids lose energy so that they rebound with material.restitution; false: they are elastic, as in the paper."""
     phases: bool = MISSING
     """Leave out the steps that the motion does not need: rest, and flight between contacts."""
     vibration_tolerance: float = MISSING
@@ -96,20 +98,33 @@ class MPM(ObjectMover):
             saves = "the simulation" if config.render.compiles else "importing Taichi"
             draft.omit("MPM", "no kept step simulates", saves)
             return
+        from hoi.mpm.damping import damping, rebound_of
         from hoi.mpm.stability import cfl_number, choose_time_step, time_step_limit
 
         materials, dx = draft.materials, self.cell(config.object.size)
+        rebound = [rebound_of(m, config.object.size / dx) if self.damping else 1.0 for m in materials]
+        stiffening = [damping(share).stiffening for share in rebound]
         placement, gravity = config.scene.placement, -config.scene.gravity[2]
         fall = math.sqrt(2 * max(gravity, 0.0) * (placement.position[2] or 0.0))
         speed = math.hypot(*placement.velocity) + fall
-        limit = time_step_limit(materials, dx, speed)
+        limit = time_step_limit(materials, dx, speed, stiffening)
         with under(self.key, "dt"):
-            dt = choose_time_step(materials, dx, speed, dt=self.dt, fraction=self.limit_fraction)
+            dt = choose_time_step(materials, dx, speed, self.dt, self.limit_fraction, stiffening)
         cfl, steps = cfl_number(materials, dx, dt, speed), config.scene.frames / config.scene.fps / dt
         draft.check("cfl", f"{cfl:.2f}", f"dt {dt:.3g} s, limit {limit:.3g} s")
+        draft.check("damping", *self._damping(materials, rebound))
         draft.check("resolution", f"{config.object.size / dx:.1f}", f"cells of {dx:.3g} m across the object")
         draft.check("steps", f"{steps:.0f}", "for the whole scene")
         draft.check("phases", *self._phases({material.model for material in materials}))
+
+    def _damping(self, materials: Sequence[Material], rebound: Sequence[float]) -> tuple[str, str]:
+        """What a bounce leaves of the speed, and by what."""
+        if not self.damping:
+            return "none", "stage.object.damping is false: solids are elastic, restitution acts at the strike alone"
+        own = [f"{m.name} {share:.2f}" for m, share in zip(materials, rebound, strict=True) if LAWS[m.model].springs]
+        if not own:
+            return "flow", "what flows loses energy by its flow, restitution acts at the strike alone"
+        return "hysteresis", f"a bounce leaves of the speed, the grid's own loss aside: {', '.join(own)}"
 
     def _phases(self, models: set[str]) -> tuple[str, str]:
         """Whether steps may be left out, and at what cost."""
@@ -148,6 +163,7 @@ def advance(
     import numpy as np
 
     from hoi.method.object_motion import Advanced
+    from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
 
@@ -164,6 +180,7 @@ def advance(
                 thing.volumes,
                 thing.materials,
                 region=thing.region,
+                rebound=rebound,
                 dx=dx,
                 dt=conf.dt,
                 fraction=conf.limit_fraction,
@@ -176,6 +193,8 @@ def advance(
                 device="cuda" if device == "cuda" else "cpu",
             )
 
+    rebound = [rebound_of(material, size / dx) if conf.damping else 1.0 for material in thing.materials]
+    softest = min(damping(share).least for share in rebound)
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
     reaches = [reach_of(plane, dx, width) for plane in planes]
     whole = all(LAWS[material.model].rigid for material in thing.materials)
@@ -188,7 +207,9 @@ def advance(
         surroundings=Surroundings(planes, reaches, collider, 0.5 * width * math.sqrt(3) * dx),
         size=thing.size,
         moment=dx**2 / (4 if width == 3 else 3),
-        frequency=lowest_frequency(thing.particles, thing.masses, thing.materials) if whole else None,
+        frequency=math.sqrt(softest) * lowest_frequency(thing.particles, thing.masses, thing.materials)
+        if whole
+        else None,
         tolerance=conf.vibration_tolerance if conf.phases else None,
     )
     states, phases = [], []
