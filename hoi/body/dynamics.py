@@ -9,6 +9,7 @@ Without a push nothing of this acts, and the person moves as it was told to.
 # MuJoCo brings no types.
 # pyright: reportAttributeAccessIssue=false
 
+import copy
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -82,7 +83,7 @@ class Person:
     def __init__(
         self, body: Body, motion: Motion, *, start: float, gravity: float, recovery: float, one_piece: float
     ) -> None:
-        self.parts = Articulated(body)
+        self.body, self.parts = body, Articulated(body)
         self.motion, self.gravity, self.one_piece = motion, gravity, one_piece
         self.frequency = RECOVERED / recovery
         self.time = self._start = start
@@ -135,8 +136,27 @@ class Person:
 
     def give(self, impulse: Array) -> None:
         """Gives a generalised impulse (nv,), J^T p."""
-        self.rates = self.rates + self.mobility @ impulse
-        self._settle_workspace()
+        self.turn_to(self.rates + self.mobility @ impulse)
+
+    def turn_to(self, rates: Array) -> None:
+        """Gives it these rates (nv,)."""
+        if (rates != self.rates).any():
+            self.rates = rates
+            self._settle_workspace()
+
+    def twin(self) -> "Person":
+        """Another at the same place, which goes on by itself."""
+        other = copy.copy(self)
+        other.parts = copy.copy(self.parts)
+        other.parts.data, other._ghost = mujoco.MjData(self.parts.model), mujoco.MjData(self.parts.model)
+        other.kept, other.ground_impulse = [], self.ground_impulse.copy()
+        other._settle_workspace()
+        return other
+
+    @property
+    def end(self) -> float:
+        """The time of the motion's last frame [s]."""
+        return (len(self.motion) - 1) / self.motion.fps
 
     def kinetic_energy(self) -> float:
         """[J]"""

@@ -1,6 +1,7 @@
 """The striking limb as a moving obstacle: which capsules push the object, from when on, and along which paths."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,8 +26,7 @@ def limb_collider(
     """The capsules of the striking limb, and of others that come near, from their last moment outside the object on.
 
     Each joint's capsules are fitted once and carried along by the joint, `samples` times a frame, with the motion
-    interpolated as everywhere else. A limb other than the one that strikes pushes only if it is outside the object by
-    then too. No capsule is thinner than the object's Gaussians are apart: it would slip in between them.
+    interpolated as everywhere else. Limbs go on as they were told to, whatever they meet.
 
     Args:
         free: the object's free motion, in which `contact` was found.
@@ -38,19 +38,42 @@ def limb_collider(
     Raises:
         RunError: the striking limb is in the object from the first frame on.
     """
+    ready = ready_to_push(scene, motion, free, contact, samples, near_only=True)
+    starts, ends = carry(ready.capsules, np.asarray(scene.body.rest_joints, np.float64), *ready.frames_from)
+    return Collider(ready.times, starts, ends, ready.radii, friction), ready.notes
+
+
+@dataclass(frozen=True)
+class Ready:
+    """Capsules about to push."""
+
+    capsules: Capsules
+    radii: Array
+    times: Array
+    """From the last moment at which all are outside the object on [s], (K,)."""
+    frames_from: tuple[Array, Array]
+    """The joints' rotations and positions at those times."""
+    notes: tuple[str, ...]
+
+
+def ready_to_push(
+    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, samples: int, near_only: bool
+) -> Ready:
+    """The striking limb's capsules, and those of the other limbs and the trunk, all of them or the ones that come near.
+
+    A limb other than the one that strikes pushes only if it is outside the object by then too. No capsule is thinner
+    than the object's Gaussians are apart: it would slip in between them.
+    """
     frames = np.arange((scene.frames - 1) * samples + 1) / samples
     rotations, positions = joint_frames(scene.body, motion, frames)
+    rest_joints = np.asarray(scene.body.rest_joints, np.float64)
 
-    def paths(chain: str) -> tuple[Capsules, Array, Array]:
-        capsules = fit_capsules(scene.body, CHAINS[chain])
-        return capsules, *carry(capsules, np.asarray(scene.body.rest_joints, np.float64), rotations, positions)
-
-    def clear(limb: tuple[Capsules, Array, Array], at: int) -> bool:
-        capsules, starts, ends = limb
-        return outside(at_frame(free.positions, frames[at]), starts[at], ends[at], capsules.radii)
+    def clear(capsules: Capsules, at: int) -> bool:
+        starts, ends = carry(capsules, rest_joints, rotations[at : at + 1], positions[at : at + 1])
+        return outside(at_frame(free.positions, frames[at]), starts[0], ends[0], capsules.radii)
 
     striker = next(chain for chain, joints in CHAINS.items() if contact.joint in joints)
-    limbs = [paths(striker)]
+    limbs = [fit_capsules(scene.body, CHAINS[striker])]
     before = range(math.floor(contact.frame * samples), -1, -1)
     first = next((at for at in before if clear(limbs[0], at)), None)
     if first is None or first == len(frames) - 1:
@@ -59,26 +82,25 @@ def limb_collider(
             f"({JOINT_NAMES[contact.joint]})"
         )
     notes = []
-    for chain in _near(scene, motion, free, int(frames[first])):
+    for chain in _near(scene, motion, free, int(frames[first])) if near_only else CHAINS:
         if chain == striker:
             continue
-        limb = paths(chain)
-        if len(limb[0].joints) and clear(limb, first):
+        limb = fit_capsules(scene.body, CHAINS[chain])
+        if len(limb.joints) and clear(limb, first):
             limbs.append(limb)
-        elif len(limb[0].joints):
+        elif len(limb.joints):
             notes.append(f"the {chain} is in the object when the {striker} comes to push it: it pushes nothing")
-    capsules, starts, ends = zip(*limbs, strict=True)
-    fitted, least = np.concatenate([each.radii for each in capsules]), spacing(scene.thing.cloud.means)
-    if fitted.min() < least:
+    parts = (np.concatenate([getattr(limb, name) for limb in limbs]) for name in ("joints", "starts", "ends", "radii"))
+    capsules, least = Capsules(*parts), spacing(scene.thing.cloud.means)
+    if capsules.radii.min() < least:
         notes.append(f"limbs thinner than the object's Gaussians are apart push as if of radius {least:.3f} m")
-    collider = Collider(
-        times=frames[first:] / scene.fps,
-        starts=np.concatenate(starts, axis=1)[first:],
-        ends=np.concatenate(ends, axis=1)[first:],
-        radii=np.maximum(fitted, least),
-        friction=friction,
+    return Ready(
+        capsules,
+        np.maximum(capsules.radii, least),
+        frames[first:] / scene.fps,
+        (rotations[first:], positions[first:]),
+        tuple(notes),
     )
-    return collider, tuple(notes)
 
 
 def spacing(points: Array) -> float:

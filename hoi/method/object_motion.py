@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Scene, SceneObject
-from hoi.mpm.collider import Collider
+from hoi.mpm.collider import Collider, Partner
 from hoi.mpm.state import centre_of_mass, initial_state
 from hoi.reports import Stage
 
@@ -51,9 +51,10 @@ class Mover(Protocol):
         start: float,
         stops: Sequence[float],
         stage: Stage,
-        collider: Collider | None = None,
+        collider: Collider | Partner | None = None,
     ) -> Advanced:
-        """`collider` is what pushes the object on the way; its times are those of the scene, frame 0 being 0 s."""
+        """`collider` is what pushes the object on the way; its times are those of the scene, frame 0 being 0 s, and a
+        partner is where it is at `start`."""
         ...
 
 
@@ -63,7 +64,7 @@ def at_rest(
     start: float,
     stops: Sequence[float],
     stage: Stage,
-    collider: Collider | None = None,
+    collider: Collider | Partner | None = None,
 ) -> Advanced:
     """Nothing happens: the object lies still."""
     stage.advance(len(stops))

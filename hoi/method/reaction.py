@@ -1,12 +1,14 @@
 """The person answers what it strikes. The paper leaves that out: "the human does not respond to reaction forces"."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hoi.body.dynamics import Person
-from hoi.data import Contact, Motion, Scene
+from hoi.body.limb_collider import ready_to_push
+from hoi.body.pushing import Pushing
+from hoi.data import Contact, Motion, ObjectTrajectory, Scene
 from hoi.reports import Stage
 
 UNMOVED = 0.001
@@ -31,6 +33,18 @@ def person_at(scene: Scene, motion: Motion, time: float, muscles: Muscles) -> Pe
     """
     gravity = max(-float(scene.gravity[2]), 0.0)
     return Person(scene.body, motion, start=time, gravity=gravity, **vars(muscles))
+
+
+def pushing(
+    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, muscles: Muscles, *, samples: int,
+    friction: float,
+) -> tuple[Pushing, tuple[str, ...]]:  # fmt: skip
+    """The person from the last moment at which the striking limb is outside the object, its limbs and trunk as capsules
+    that take the opposite of what they give; arguments, notes and errors as of `hoi.body.limb_collider.limb_collider`.
+    """
+    ready = ready_to_push(scene, motion, free, contact, samples, near_only=False)
+    person = person_at(scene, motion, float(ready.times[0]), muscles)
+    return Pushing(person, ready.capsules, ready.radii, friction), ready.notes
 
 
 def react(person: Person, contacts: Sequence[Contact], stage: Stage) -> Motion:
@@ -60,9 +74,22 @@ def follow(person: Person, stage: Stage) -> Motion:
         person.advance(frame / fps - person.time)
         if person.settled:
             break
-    stage.numbers.update(
-        person_work=person.work,
-        person_back=person.time * fps,
-        ground_impulse=float(np.linalg.norm(person.ground_impulse)),
-    )
+    return _made(person, stage)
+
+
+def pushed_back(
+    scene: Scene, motion: Motion, pushing: Pushing, contact: Contact, muscles: Muscles, stage: Stage
+) -> tuple[Motion, Contact]:
+    """The motion after a push that the person took part in, and the contact with the mass that the object met."""
+    person = pushing.person
+    stage.numbers["momentum_error"] = float(np.linalg.norm(pushing.given - contact.impulse))
+    struck = person_at(scene, motion, contact.frame / scene.fps, muscles)
+    limb = 1 / struck.inverse_mass(contact.joint, contact.point, contact.normal)
+    return _made(person, stage), replace(contact, limb_mass=limb)
+
+
+def _made(person: Person, stage: Stage) -> Motion:
+    stage.numbers["person_work"] = person.work
+    stage.numbers["person_back"] = person.time * person.motion.fps
+    stage.numbers.update(zip(("ground_x", "ground_y", "ground_z"), person.ground_impulse.tolist(), strict=True))
     return person.motion_made()

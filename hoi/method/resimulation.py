@@ -9,7 +9,7 @@ from hoi.data import Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
 from hoi.frames import at_frame
 from hoi.method.contact import exchange
 from hoi.method.object_motion import Advanced, Mover, at_rest, trajectory_of
-from hoi.mpm.collider import Collider
+from hoi.mpm.collider import Collider, Partner
 from hoi.mpm.state import centre_of_mass, kick
 from hoi.reports import Stage
 
@@ -54,16 +54,16 @@ def push_by(
     free: ObjectTrajectory,
     states: Sequence[ObjectState],
     contact: Contact,
-    collider: Collider,
+    start: float,
+    collider: Collider | Partner,
     move: Mover,
     stage: Stage,
 ) -> tuple[ObjectTrajectory, Contact]:
-    """The object pushed by the collider from when that appears; before, it stays as in `free`.
+    """The object pushed by the collider from frame `start` on; before, it stays as in `free`.
 
     Returns:
         the trajectory, and the contact with the impulse and the duration that came of it.
     """
-    start = float(collider.times[0]) * scene.fps
     frames = [float(frame) for frame in range(scene.frames) if frame > start]
     state = _state_at(scene, free, states, start, move, stage)
     after = move(scene, state, start, frames, stage, collider)

@@ -103,25 +103,40 @@ def in_a_capsule(place, capsules: ti.template(), now):
 
 
 @ti.func
+def nearest_capsule(place, capsules: ti.template(), now):
+    """The capsule whose surface is nearest to `place` [m, from the window's origin]; -1 where there are none."""
+    nearest, gap = -1, 1e30
+    for i in range(capsules.shape[0] // 4):
+        _, distance, _ = from_capsule(place, i, capsules, now)
+        if distance - capsules[4 * i][3] < gap:
+            nearest, gap = i, distance - capsules[4 * i][3]
+    return nearest
+
+
+@ti.func
+def hold_to_capsule(velocity, place, i, capsules: ti.template(), now):
+    """Velocity of a node at `place` that capsule `i` pushes, and how fast it came nearer before [m/s]."""
+    away, distance, along = from_capsule(place, i, capsules, now)
+    friction, start_velocity = capsules[4 * i + 1][3], capsules[4 * i + 2]
+    own = start_velocity + along * (capsules[4 * i + 3] - start_velocity)
+    relative = velocity - own
+    approach = ti.sqrt(relative.dot(relative))
+    if distance > 1e-3 * capsules[4 * i][3]:
+        approach = -relative.dot(away / distance)
+        relative = after_contact(relative, away / distance, friction, COULOMB)
+    else:  # on the axis every way is out: carried along
+        relative *= 0.0
+    return own + relative, approach
+
+
+@ti.func
 def hold_to_capsules(velocity, place, capsules: ti.template(), now):
     """Velocity of a node at `place` [m, from the window's origin] with a particle in a capsule: the nearest pushes it.
 
     Each capsule is four rows: one end of its axis and its radius; the other end and its friction; the velocities of the
     two ends. `now` is the time since the ends were there [s].
     """
-    nearest, gap = -1, 1e30
-    for i in range(capsules.shape[0] // 4):
-        _, distance, _ = from_capsule(place, i, capsules, now)
-        if distance - capsules[4 * i][3] < gap:
-            nearest, gap = i, distance - capsules[4 * i][3]
+    nearest = nearest_capsule(place, capsules, now)
     if nearest >= 0:
-        away, distance, along = from_capsule(place, nearest, capsules, now)
-        friction, start_velocity = capsules[4 * nearest + 1][3], capsules[4 * nearest + 2]
-        own = start_velocity + along * (capsules[4 * nearest + 3] - start_velocity)
-        relative = velocity - own
-        if distance > 1e-3 * capsules[4 * nearest][3]:
-            relative = after_contact(relative, away / distance, friction, COULOMB)
-        else:  # on the axis every way is out: carried along
-            relative *= 0.0
-        velocity = own + relative
+        velocity, _ = hold_to_capsule(velocity, place, nearest, capsules, now)
     return velocity

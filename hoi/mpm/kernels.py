@@ -387,7 +387,7 @@ def advance_serial(
 
 
 @ti.kernel
-def step_parallel(
+def begin_step(
     number: int,
     near: int,
     shares: int,
@@ -423,14 +423,13 @@ def step_parallel(
     origin: ti.types.vector(4, int),
     shape: ti.types.vector(4, int),
 ):
-    """Step `number` of a launch in parallel, or nothing once status[STOP] is set.
+    """The first half of step `number` of a launch in parallel, or nothing once status[STOP] is set: p2g.
 
     On a CPU each thread takes one share of the particles and scatters into its own copy of the grid; on a GPU each
-    particle is a share and one copy takes atomics. `given` (copies) sums the momentum that capsules gave [N s]. Copies
-    of the grid are clear before and after.
+    particle is a share and one copy takes atomics. Copies of the grid are clear before.
     """
     nodes = shape[0] * shape[1] * shape[2]
-    share_size, slab = (x.shape[0] + shares - 1) // shares, (nodes + shares - 1) // shares
+    share_size = (x.shape[0] + shares - 1) // shares
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(shares if ti.static(atomic) else shares * CPU_TASK):
         share = i if ti.static(atomic) else i // CPU_TASK
@@ -439,6 +438,49 @@ def step_parallel(
                 scatter(p, (1 + share % copies) * nodes, atomic, damped, size, models, x, v, c, f, hardening, play,
                         mass, volume, region, materials, grid, slope, status, near, planes, capsules, touched,
                         (number + 1.0) * dt, dt, dx, inv_dx, tolerance, origin, shape)  # fmt: skip
+
+
+@ti.kernel
+def end_step(
+    number: int,
+    near: int,
+    shares: int,
+    copies: int,
+    atomic: ti.template(),
+    damped: ti.template(),
+    size: ti.template(),
+    models: ti.template(),
+    x: ti.types.ndarray(),
+    v: ti.types.ndarray(),
+    c: ti.types.ndarray(),
+    f: ti.types.ndarray(),
+    total: ti.types.ndarray(),
+    hardening: ti.types.ndarray(),
+    play: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    volume: ti.types.ndarray(),
+    region: ti.types.ndarray(),
+    materials: ti.types.ndarray(),
+    grid: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
+    planes: ti.types.ndarray(),
+    capsules: ti.types.ndarray(),
+    touched: ti.types.ndarray(),
+    given: ti.types.ndarray(),
+    status: ti.types.ndarray(),
+    gravity: ti.types.vector(4, ti.f64),
+    drift: ti.types.vector(4, ti.f64),
+    dt: float,
+    dx: float,
+    inv_dx: ti.f64,
+    tolerance: float,
+    origin: ti.types.vector(4, int),
+    shape: ti.types.vector(4, int),
+):
+    """The second half: the grid, and g2p. `given` (copies) sums the momentum that capsules gave [N s]; copies of the
+    grid are clear after."""
+    nodes = shape[0] * shape[1] * shape[2]
+    share_size, slab = (x.shape[0] + shares - 1) // shares, (nodes + shares - 1) // shares
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
     for i in range(nodes if ti.static(atomic) else shares * CPU_TASK):
         if ti.static(atomic):

@@ -28,7 +28,7 @@ import numpy as np
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.mpm import rigid
 from hoi.mpm.boundary import PLANE_DEPTH
-from hoi.mpm.collider import Collider
+from hoi.mpm.collider import Collider, Partner
 from hoi.mpm.materials import lame_parameters
 from hoi.mpm.solver import Simulation
 
@@ -51,10 +51,17 @@ class Surroundings:
     planes: Sequence[Plane]
     reach: Sequence[float]
     """Of each plane: a particle farther from it touches no node that it holds [m]."""
-    collider: Collider | None = None
-    """Its times are those of the walk."""
+    collider: Collider | Partner | None = None
+    """Its times are those of the walk; a partner's begin with it."""
     collider_reach: float = 0.0
     """The same for the collider [m]."""
+
+    def moving(self, time: float) -> Collider | None:
+        """The collider at a time of the walk; of a partner, where it will be if nothing is given to it any more."""
+        if self.collider is None or isinstance(self.collider, Collider):
+            return self.collider
+        seen = self.collider.foreseen()
+        return replace(seen, times=time + seen.times)
 
     def touches(self, positions: Array) -> bool:
         """Whether any of the particles (P, 3) is in reach of a plane."""
@@ -203,7 +210,7 @@ class Walk:
         if looks:
             self._last_look = self.time
             box, speed = self.simulation.bounds()
-            rests = self._rests(speed)
+            rests = self._rests(box, speed)
             if not rests and (self._frequency is None or self._around.touches(box)):
                 self._vibration.clear()
                 looks = False  # nothing to decide: the particles stay on the device
@@ -224,6 +231,9 @@ class Walk:
 
     def _pass(self, until: float) -> None:
         self.tally.seconds[self.phase] += until - self.time
+        partner = self._around.collider
+        if self.phase != "mpm" and partner is not None and not isinstance(partner, Collider):
+            partner.advance(until - self.time)
         self.time = until
 
     def _leave_mpm(self, phase: str, energy: float) -> None:
@@ -232,14 +242,13 @@ class Walk:
         self.tally.energy += energy
         self.tally.add(self.simulation, self._began)
 
-    def _rests(self, speed: float) -> bool:
-        """Whether, for a while, no particle has been fast enough to get anywhere until the end.
+    def _rests(self, box: Array, speed: float) -> bool:
+        """Whether, for a while, no particle has been fast enough to get anywhere until the end, and no limb will come.
 
         That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
         """
-        collider = self._around.collider
         slow = speed * (self._end - self.time) <= self._tolerance * self._size
-        if not slow or (collider is not None and self.time < collider.times[-1]):
+        if not slow or will_be_pushed(box, self._around.moving(self.time), self.time, self._around.collider_reach):
             self._still_since = math.inf
         else:
             self._still_since = min(self._still_since, self.time)
@@ -301,7 +310,7 @@ def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start
         longest: the answer is no longer than this [s].
     """
     radius = float(np.linalg.norm(hull, axis=1).max())
-    time = 0.0
+    time, moving = 0.0, around.moving(start)
     while time < longest:
         com, velocity = flight.com(time), flight.velocity(time)
         vertices = hull @ flight.rotation(time).T
@@ -312,8 +321,8 @@ def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start
             ball = _time_to_close(height - radius, rate, acceleration)
             turning = rate - flight.fastest * radius
             sure = min(sure, max(ball, _time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
-        if around.collider is not None and start + time < around.collider.times[-1]:
-            gap, speed = _gap_to_collider(around.collider, com, start + time)
+        if moving is not None and start + time < moving.times[-1]:
+            gap, speed = _gap_to_collider(moving, com, start + time)
             rate = -float(np.linalg.norm(velocity)) - speed
             gap -= radius + around.collider_reach
             sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(flight.gravity))))
@@ -321,6 +330,18 @@ def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start
             return time
         time += sure
     return longest
+
+
+def will_be_pushed(box: Array, collider: Collider | None, time: float, reach: float) -> bool:
+    """Whether a capsule comes within `reach` [m] of what lies still in a box, its corners (8, 3), from `time` on."""
+    if collider is None or time >= collider.times[-1]:
+        return False
+    first = max(int(np.searchsorted(collider.times, time, side="right")) - 1, 0)
+    ends = np.stack([collider.starts[first:], collider.ends[first:]])
+    swept = np.concatenate([ends[:, :-1], ends[:, 1:]])  # each capsule from one time to the next
+    low, high = swept.min(axis=0) - collider.radii[:, None], swept.max(axis=0) + collider.radii[:, None]
+    apart = np.maximum(low - box.max(axis=0), box.min(axis=0) - high).max(axis=-1)
+    return bool((apart < reach).any())
 
 
 def _time_to_close(gap: float, rate: float, acceleration: float) -> float:

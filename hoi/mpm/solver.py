@@ -13,7 +13,8 @@ from hoi.compute import Device, Precision, start_compiler, ti
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
 from hoi.mpm import boundary, kernels
-from hoi.mpm.collider import Collider
+from hoi.mpm.collider import Collider, Partner
+from hoi.mpm.coupling import Coupling
 from hoi.mpm.damping import Damping, damping
 from hoi.mpm.law import PARAMETERS
 from hoi.mpm.laws import LAWS
@@ -29,6 +30,8 @@ MAX_NODES = 2**25
 """Nodes of the largest window and its copies: 0.6 GB in float32."""
 STEPS_A_LOOK = 32
 """Steps after which the time step and the window are chosen anew."""
+EXCHANGE = 0.0005
+"""How long a partner's own motion waits while its capsules push [s]."""
 INSTANT = 1e-9
 """Times no further apart than this are one [s]."""
 CONTACTS = {"coulomb": boundary.COULOMB, "slip": boundary.SLIP, "stick": boundary.STICK}
@@ -146,7 +149,8 @@ class Simulation:
             None: elastic.
         gravity: [m/s^2], shape (3,).
         planes: what is solid; None: the ground z = 0 with the first material's friction; () is empty space.
-        collider: capsules that move through the grid; times count from the start of the simulation.
+        collider: capsules that move through the grid; times count from the start of the simulation, or what carries
+            them takes the opposite of what they give.
         spline: "quadratic" or "cubic".
         precision: of the arithmetic; positions are accumulated in float64 in both.
         threads: CPU threads.
@@ -172,7 +176,7 @@ class Simulation:
         rebound: Sequence[float] | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         planes: Sequence[Plane] | None = None,
-        collider: Collider | None = None,
+        collider: Collider | Partner | None = None,
         spline: Spline = "quadratic",
         precision: Precision = "float32",
         threads: int = 1,
@@ -198,7 +202,8 @@ class Simulation:
         self.planes = [ground_plane(self.materials[0].ground_friction)] if planes is None else list(planes)
         for plane in self.planes:
             _check_plane(plane)
-        self.collider = collider
+        self.collider = collider if isinstance(collider, Collider) else None
+        self.partner = None if isinstance(collider, Collider) else collider
         self.time, self.steps, self.refits, self.cfl = 0.0, 0, 0, 0.0
         self.dt_least, self.dt_most = math.inf, 0.0
         self.collider_impulse = np.zeros(3)
@@ -247,6 +252,8 @@ class Simulation:
         """Stands for no capsules, or no planes."""
         self.plane_rows = ti.Vector.ndarray(4, real, 2 * len(self.planes)) if self.planes else self.none
         self.placed_at = None
+        if self.partner is not None:
+            self.coupling = Coupling(self.partner, real, self.on_gpu)
 
     @property
     def memory(self) -> int:
@@ -293,7 +300,13 @@ class Simulation:
         origin, shape = self._fit_window(low, high, path)
         near, touching = self._in_reach(low, high, path), self._in_reach(low, high, 0.0)
         given = self.collider_impulse
-        done = self._launch(at_once, dt, origin, shape, near=near, touching=touching)
+        if self._partner_near(low, high, path, ahead):
+            at_once = min(at_once, max(round(EXCHANGE / dt), 1))
+            done = self._launch(at_once, dt, origin, shape, near=True, touching=True, coupled=True)
+        else:
+            done = self._launch(at_once, dt, origin, shape, near=near, touching=touching)
+        if self.partner is not None:
+            self.partner.advance(done * dt)
         self.steps += done
         self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
         began, self.time = self.time, until if done == steps else until - (steps - done) * dt
@@ -407,41 +420,58 @@ class Simulation:
         reach = 0.5 * self.size * self.dx + path
         return any(((corners - plane.point) @ plane.normal).min() < reach for plane in self.planes)
 
+    def _partner_near(self, low: Array, high: Array, path: float, seconds: float) -> bool:
+        """Whether a capsule of the partner may reach nodes of particles in this box that move by `path` [m]."""
+        if self.partner is None:
+            return False
+        speed = float(np.linalg.norm(self.partner.velocities, axis=-1).max())
+        return self.coupling.choose(low, high, 0.5 * self.size * self.dx + path + 2 * speed * seconds)
+
     def _launch(
         self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool = False,
-        touching: bool = False, idle: bool = False,
+        touching: bool = False, idle: bool = False, coupled: bool = False,
     ) -> int:  # fmt: skip
-        """Up to `steps` steps in this window, none if `idle`: how many were done."""
+        """Up to `steps` steps in this window, none if `idle`: how many were done. `coupled`: with the partner."""
         status = np.zeros(4, dtype=np.int32)
         status[[kernels.AT_RIM, kernels.STOP]] = idle
         self.status.from_numpy(status)
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
+        capsules = self.coupling.capsules if coupled else self._capsules(origin)
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
-                  self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, self._capsules(origin),
+                  self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, capsules,
                   self.touched, self.given, self.status)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
-        if self.serial:
+        if self.serial and not coupled:
             kernels.advance_serial(steps, int(near), self.damped, self.size, self.models, *arrays, *numbers)
         else:
             self.given.fill(0.0)
             shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
             for number in range(steps):
-                kernels.step_parallel(
-                    number,
-                    int(near),
-                    shares,
-                    copies,
-                    self.on_gpu,
-                    self.damped,
-                    self.size,
-                    self.models,
-                    *arrays,
-                    *numbers,
-                )
-        if near:
+                number = 0 if coupled else number  # then capsules are written anew for each step
+                how = (number, int(near), shares, copies, self.on_gpu, self.damped, self.size, self.models)
+                if coupled:
+                    self.coupling.place(origin * self.dx)
+                kernels.begin_step(*how, *arrays, *numbers)
+                if coupled:
+                    self.coupling.exchange(
+                        self.grid,
+                        self.touched,
+                        copies,
+                        dt,
+                        self.dx,
+                        _vector(self.gravity),
+                        numbers[-1],
+                        origin * self.dx,
+                    )
+                kernels.end_step(*how, *arrays, *numbers)
+                if coupled and self.status.to_numpy()[kernels.STOP]:
+                    break
+        if coupled:
+            self.collider_impulse, self.coupling.given = self.collider_impulse + self.coupling.given, np.zeros(3)
+        elif near:
             self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
         status = self.status.to_numpy()
         done = int(status[kernels.DONE])

@@ -12,9 +12,9 @@ from omegaconf import MISSING
 from hoi.stages.contract import ContactModel, Draft, Requirements
 
 if TYPE_CHECKING:
-    from hoi.body.dynamics import Person
     from hoi.config import Config
-    from hoi.data import Contact, ContactSearch, Motion, ObjectTrajectory, Scene
+    from hoi.data import ContactSearch, Motion, ObjectTrajectory, Scene
+    from hoi.method.reaction import Muscles
     from hoi.reports import Stage
 
 LIGHT = 0.003
@@ -90,17 +90,16 @@ class Detection(ContactModel):
             over_a_frame=self.velocity is Velocity.frame,
         )
 
-    def person(self, scene: Scene, motion: Motion, push: Contact, stage: Stage) -> Person | None:
-        """The person as a body with mass at the contact that pushes the object; None where it does not answer.
+    @property
+    def muscles(self) -> Muscles:
+        """How the person takes a blow."""
+        from hoi.method.reaction import Muscles
 
-        Raises:
-            RunError: it has no volume.
-        """
-        if self.limb is Limb.infinite:
-            return None
-        if (mass := float(scene.thing.masses.sum())) < LIGHT:
+        return Muscles(self.one_piece, self.recovery)
+
+    def answers(self, scene: Scene, stage: Stage) -> bool:
+        """Whether the person answers what it strikes; if not for want of weight, the stage is told."""
+        mass = float(scene.thing.masses.sum())
+        if self.limb is Limb.effective and mass < LIGHT:
             stage.notes.append(f"the object weighs {1000 * mass:.2g} g: the person's answer is left out")
-            return None
-        from hoi.method.reaction import Muscles, person_at
-
-        return person_at(scene, motion, push.frame / scene.fps, Muscles(self.one_piece, self.recovery))
+        return self.limb is Limb.effective and mass >= LIGHT

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -45,14 +46,31 @@ class Collider(Detection):
 
         motion, free, search = state.motion, state.trajectory, state.contact
         assert motion is not None and free is not None and search is not None and search.push is not None
-        push = search.push
+        push, how = search.push, {"samples": self.samples, "friction": self.friction}
+        if not self.answers(scene, stage):
+            with self._apart():
+                limbs, notes = limb_collider(scene, motion, free, push, **how)
+            stage.notes.extend(notes)
+            start = float(limbs.times[0]) * scene.fps
+            trajectory, pushed = push_by(scene, free, restarts, push, start, limbs, move, stage)
+            return replace(state, trajectory=trajectory, contact=search.with_push(pushed))
+        from hoi.method.reaction import pushed_back, pushing
+
+        with self._apart():
+            person, notes = pushing(scene, motion, free, push, self.muscles, **how)
+        stage.notes.extend(notes)
+        start = person.person.time * scene.fps
+        trajectory, pushed = push_by(scene, free, restarts, push, start, person, move, stage)
+        motion, pushed = pushed_back(scene, motion, person, pushed, self.muscles, stage)
+        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(pushed))
+
+    @contextmanager
+    def _apart(self) -> Iterator[None]:
+        """Tells what to do where a limb that is to push is in the object from the first."""
         try:
-            limb, notes = limb_collider(scene, motion, free, push, samples=self.samples, friction=self.friction)
+            yield
         except RunError as error:
             raise RunError(
                 f"stage/contact=collider: {error}; move scene.placement.position away from the person, or use "
                 "stage/contact=impulse"
             ) from None
-        stage.notes.extend(notes)
-        trajectory, pushed = push_by(scene, free, restarts, push, limb, move, stage)
-        return replace(state, trajectory=trajectory, contact=search.with_push(pushed))

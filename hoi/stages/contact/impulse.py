@@ -28,11 +28,13 @@ class Impulse(Detection):
         motion, free, search = state.motion, state.trajectory, state.contact
         assert motion is not None and free is not None and search is not None and search.push is not None
         push = search.push
-        person = self.person(scene, motion, push, stage)
-        limb = 0.0 if person is None else person.inverse_mass(push.joint, push.point, push.normal)
-        trajectory, struck = resimulate(scene, free, restarts, push, limb, move, stage)
-        if person is not None:
-            from hoi.method.reaction import react
+        if not self.answers(scene, stage):
+            trajectory, struck = resimulate(scene, free, restarts, push, 0.0, move, stage)
+            return replace(state, trajectory=trajectory, contact=search.with_push(struck))
+        from hoi.method.reaction import person_at, react
 
-            motion = react(person, [struck], stage)
+        person = person_at(scene, motion, push.frame / scene.fps, self.muscles)
+        limb = person.inverse_mass(push.joint, push.point, push.normal)
+        trajectory, struck = resimulate(scene, free, restarts, push, limb, move, stage)
+        motion = react(person, [struck], stage)
         return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(struck))

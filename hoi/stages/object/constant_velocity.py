@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import ObjectState, Scene
     from hoi.method.object_motion import Advanced, Mover, World
-    from hoi.mpm.collider import Collider
+    from hoi.mpm.collider import Collider, Partner
     from hoi.reports import Stage
 
 
@@ -39,7 +39,7 @@ def constant_velocity(
     start: float,
     stops: Sequence[float],
     stage: Stage,
-    collider: Collider | None = None,
+    collider: Collider | Partner | None = None,
 ) -> Advanced:
     """Straight lines: no gravity, no ground, no deformation, and nothing pushes."""
     import numpy as np

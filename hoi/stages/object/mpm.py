@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import Material, ObjectState, Scene
     from hoi.method.object_motion import Advanced, Mover, World
-    from hoi.mpm.collider import Collider
+    from hoi.mpm.collider import Collider, Partner
     from hoi.mpm.phases import Tally
     from hoi.reports import Stage
 
@@ -148,7 +148,7 @@ def advance(
     start: float,
     stops: Sequence[float],
     stage: Stage,
-    collider: Collider | None = None,
+    collider: Collider | Partner | None = None,
     *,
     conf: MPM,
     size: float,
@@ -163,6 +163,7 @@ def advance(
     import numpy as np
 
     from hoi.method.object_motion import Advanced
+    from hoi.mpm.collider import Collider
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
@@ -170,7 +171,7 @@ def advance(
     thing, dx = scene.thing, conf.cell(size)
     planes = scene.planes
     times = (np.asarray(stops) - start) / scene.fps
-    if collider is not None:
+    if isinstance(collider, Collider):
         collider = replace(collider, times=collider.times - start / scene.fps)
 
     def simulation(state: ObjectState, now: float) -> Simulation:
@@ -186,7 +187,7 @@ def advance(
                 fraction=conf.limit_fraction,
                 gravity=scene.gravity,
                 planes=planes,
-                collider=None if collider is None else replace(collider, times=collider.times - now),
+                collider=replace(collider, times=collider.times - now) if isinstance(collider, Collider) else collider,
                 spline=conf.spline.value,
                 precision=conf.precision.value,
                 threads=threads,
