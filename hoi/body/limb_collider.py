@@ -7,8 +7,9 @@ from scipy.spatial import KDTree
 
 from hoi.body.capsules import Capsules, carry, fit_capsules
 from hoi.body.limbs import Limbs
+from hoi.body.parts import struck_with
 from hoi.body.segments import segment_distances
-from hoi.body.skeleton import CHAINS, JOINT_NAMES
+from hoi.body.skeleton import CHAINS
 from hoi.body.skinning import joint_frames
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
 from hoi.errors import RunError
@@ -56,7 +57,7 @@ def limb_collider(
     if first is None or first == len(frames) - 1:
         raise RunError(
             f"the {striker} is in the object from the first frame to its contact at frame {contact.frame:.2f} "
-            f"({JOINT_NAMES[contact.joint]})"
+            f"({struck_with(contact)})"
         )
     notes = []
     for chain in _near(scene, motion, free, int(frames[first])):

@@ -32,6 +32,11 @@ class Velocity(StrEnum):
     frame = "frame"
 
 
+class Normal(StrEnum):
+    surface = "surface"
+    centre_of_mass = "centre_of_mass"
+
+
 @dataclass
 class Detection(ContactModel):
     """Contact detection (paper, Contact Detection and Re-simulation Details), and how heavy the limb is."""
@@ -54,6 +59,8 @@ class Detection(ContactModel):
     """Share of a blow that a limb takes in one piece, its other joints locked; the rest finds all joints free [-]."""
     recovery: float = MISSING
     """How long the person takes to make good 95% of a small push [s]."""
+    normal: Normal = MISSING
+    """n, along which the object is pushed: into the touched surface, or from there to the centre of mass."""
 
     @property
     def d_contact(self) -> float:
@@ -88,6 +95,7 @@ class Detection(ContactModel):
             distance=self.distance,
             between_frames=self.between_frames,
             over_a_frame=self.velocity is Velocity.frame,
+            to_com=self.normal is Normal.centre_of_mass,
         )
 
     def person(self, scene: Scene, motion: Motion, push: Contact, stage: Stage) -> Person | None:
