@@ -283,6 +283,15 @@ class Target:
     frame: int
     chosen_by: str
     """"velocity profile" or "scene"."""
+    joints: tuple[int, ...] = ()
+    """Those that push together, j* among them; empty where j* strikes alone."""
+    hold: int = 0
+    """How long after t* they stay on the object [frames]."""
+
+    @property
+    def striking(self) -> tuple[int, ...]:
+        """All joints that should meet the object."""
+        return self.joints or (self.joint,)
 
     def meeting_frame(self, frames: int) -> int:
         """The end of the strike's fastest step in a scene of `frames` frames.

@@ -9,7 +9,7 @@ from hoi.body.capsules import Capsules, carry, fit_capsules
 from hoi.body.limbs import Limbs
 from hoi.body.parts import struck_with
 from hoi.body.segments import segment_distances
-from hoi.body.skeleton import CHAINS
+from hoi.body.skeleton import CHAINS, chain_of
 from hoi.body.skinning import joint_frames
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
 from hoi.errors import RunError
@@ -50,7 +50,7 @@ def limb_collider(
         capsules, starts, ends = limb
         return outside(at_frame(free.positions, frames[at]), starts[at], ends[at], capsules.radii)
 
-    striker = next(chain for chain, joints in CHAINS.items() if contact.joint in joints)
+    striker = chain_of(contact.joint)
     limbs = [paths(striker)]
     before = range(math.floor(contact.frame * samples), -1, -1)
     first = next((at for at in before if clear(limbs[0], at)), None)

@@ -5,7 +5,7 @@ knee.
 """
 
 from hoi.body.skeleton import JOINT_NAMES
-from hoi.data import Array, Contact
+from hoi.data import Array, Contact, ContactSearch
 
 NEAR, FAR = 0.2, 0.7
 """Skin up to the first share of a bone belongs to the joint at its start, from the second on to the one at its end."""
@@ -50,3 +50,9 @@ def part_at(joint: int, point: Array, joints: Array) -> str:
 def struck_with(contact: Contact) -> str:
     """What touched the object, as people call it; the joint where the record is of a time before parts had names."""
     return contact.part or (JOINT_NAMES[contact.joint] if contact.joint >= 0 else "body")
+
+
+def struck_together(search: ContactSearch) -> str:
+    """What pushed the object, as people call it, and what pushed together with it: "left_hand and right_hand"."""
+    first = next(place for place, contact in enumerate(search.contacts) if contact is search.push)
+    return " and ".join(dict.fromkeys(struck_with(contact) for contact in search.contacts[first:]))

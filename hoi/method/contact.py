@@ -4,7 +4,7 @@ Whole frames are tested as in the paper. Between frames, limb and object are int
 point of a limb moves further than the contact distance between tests: a fist at 10 m/s covers 0.5 m a frame.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,15 @@ from scipy.spatial import KDTree
 from hoi.body.limbs import Limbs
 from hoi.body.mass import PART
 from hoi.body.parts import part_at
+from hoi.body.skeleton import chain_of
 from hoi.body.skinning import joint_frames, joint_paths
 from hoi.data import Array, Body, Contact, ContactSearch, Motion, ObjectState, ObjectTrajectory, Scene, SceneObject
 from hoi.frames import at_frame
 from hoi.method.touch import Touch, contact_normal, plates_of, slack_of, touch
 from hoi.mpm.state import centre_of_mass
 
+TOGETHER = 1.0
+"""So soon after the push the object is still where it was freely, for the limbs that push together [frames]."""
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
 INSTANT = 0.01
@@ -72,8 +75,9 @@ def find_contact(
     between_frames: bool,
     over_a_frame: bool = False,
     to_com: bool = False,
+    together: Sequence[int] = (),
 ) -> ContactSearch:
-    """The first contact that pushes the object, and any separating touch before it.
+    """The first contact that pushes the object, any separating touch before it, and what pushes together with it.
 
     Contact of joint j at frame t_c: its box overlaps the object's, and at least `tau` of its Gaussians lie within
     `distance` of an object Gaussian. Gaussians that lie farther apart than that are plates (see `hoi.method.touch`).
@@ -85,16 +89,14 @@ def find_contact(
         over_a_frame: V_human as the paper has it, of the joint and over the frame before t_c; else that of the touched
             point at t_c.
         to_com: whether n leads to the centre of mass, as in the paper; else it is the surface's.
+        together: joints that push together: of their limbs, those that touch within `TOGETHER` of the push are contacts
+            too, without an impulse of their own.
     """
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
     surface = trajectory.positions[:, : len(scene.thing.cloud)]
     plates = plates_of(scene.thing.cloud, distance)
     slack = {joint: slack_of(limbs.at_frames[joint][0], distance) for joint in limbs.joints}
-    reach = (
-        distance
-        + max((float(each.max()) for each in slack.values()), default=0.0)
-        + (plates.farthest if plates else 0.0)
-    )
+    beyond = max((float(each.max()) for each in slack.values()), default=0.0) + (plates.farthest if plates else 0.0)
     gap, gap_frame, gap_joint = _smallest_gap(limbs, surface)
 
     def gap_part() -> str:
@@ -106,7 +108,11 @@ def find_contact(
 
     contacts: list[Contact] = []
     touched_before: set[int] = set()
-    for frame, candidates in _tests(limbs, surface, distance, reach, between_frames):
+    push: Contact | None = None
+    awaited = {chain_of(joint) for joint in together}
+    for frame, candidates in _tests(limbs, surface, distance, distance + beyond, between_frames):
+        if push is not None and frame > push.frame + TOGETHER:
+            break
         object_now = at_frame(surface, frame)
         plates_now = plates and plates.at(object_now)
         touching: dict[int, Touch] = {}
@@ -123,11 +129,18 @@ def find_contact(
                 v_human = _point_velocity(scene.body, motion, joint, frame, touching[joint].point)
             contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing, to_com)
             contact = replace(contact, part=part_at(joint, touching[joint].on_limb, at_frame(joints, frame)))
-            if contact.v_in > 0:
-                return ContactSearch((*contacts, contact), gap, gap_frame, gap_joint, gap_part())
-            if joint not in touched_before:
+            if push is None:
+                recorded = contact.v_in > 0 or joint not in touched_before
+                push = contact if contact.v_in > 0 else None
+            else:
+                recorded = chain_of(joint) in awaited
+            if recorded:
                 contacts.append(contact)
+            if push is not None:
+                awaited.discard(chain_of(joint))
         touched_before = set(touching)
+        if push is not None and not awaited:
+            break
     return ContactSearch(tuple(contacts), gap, gap_frame, gap_joint, gap_part())
 
 

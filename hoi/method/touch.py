@@ -22,9 +22,11 @@ FLAT = 0.5
 PLATES = 8
 """Nearest plates that are looked at."""
 PLANAR = 0.05
-"""Touched Gaussians lie in a plane if their variance across it is less than this share of that along it."""
+"""Gaussians lie in a plane if their variance across it is less than this share of that along it, either way."""
 FEWEST = 6
-"""Touched Gaussians that a plane is fitted to; where there are fewer, their neighbours are taken too."""
+"""Touched Gaussians that a plane is fitted to; where there are fewer, or they lie in a row, to their neighbours too."""
+SHEET = 0.1
+"""Where the matter around a touched point is no farther in than this share of how far is looked, it is a sheet."""
 AGREE = np.radians(5.0)
 """The surface's normal counts where it is farther than this from the direction of the centre of mass: it is not known
 better, and a ball is not to be sent sideways by its sampling [rad]."""
@@ -179,23 +181,30 @@ def contact_normal(
 def surface_normal(found: Touch, particles: Array, thing: SceneObject) -> Array:
     """The touched surface's normal, into the object, (3,)."""
     assert found.point is not None
-    gaussians, point = particles[: len(thing.cloud)], found.point
-    wide = float(np.linalg.norm(found.points - point, axis=1).max())
-    radius = max(2 * float(thing.volumes.sum() / len(particles)) ** (1 / 3), wide)
-    around = np.linalg.norm(particles - point, axis=1) <= radius
-    matter = particles[around] if around.any() else point[None]
-    inwards = np.average(matter, axis=0, weights=thing.volumes[around] if around.any() else None) - point
+    point, count = found.point, len(thing.cloud)
+    from_point = np.linalg.norm(particles - point, axis=1)
+    filling = thing.volumes[count:] if len(thing.volumes) > count else thing.volumes
+    radius = max(2 * float(filling.mean()) ** (1 / 3), float(from_point.min()))
+    around = from_point <= radius
+    inwards = np.average(particles[around], axis=0, weights=thing.volumes[around]) - point
     from_limb = point - found.on_limb
 
-    touched = found.points
-    if len(touched) < FEWEST:
-        order = np.argsort(np.linalg.norm(gaussians - point, axis=1))[: 2 * FEWEST]
-        touched = gaussians[order]
-    spread, axes = np.linalg.eigh(np.cov((touched - touched.mean(axis=0)).T, bias=True))
-    normal = axes[:, 0]
-    planar = spread[0] < PLANAR * spread[1] and spread[1] > PLANAR * spread[2]
-    inside = float(np.linalg.norm(inwards))
-    if not planar:
-        normal = inwards if inside > 0.1 * radius else from_limb
-    side = normal @ inwards if abs(normal @ inwards) > 0.1 * radius else normal @ from_limb
+    nearest = np.argsort(from_point[:count])[: 2 * FEWEST]
+    wide = max(float(np.linalg.norm(found.points - point, axis=1).max()), float(from_point[nearest].max()))
+    normal = plane_normal(found.points)
+    if normal is None:  # too few of them, or in a row
+        normal = plane_normal(particles[:count][from_point[:count] <= wide])
+    deep = float(np.linalg.norm(inwards)) > SHEET * radius
+    if normal is None:
+        normal = inwards if deep else from_limb
+    side = normal @ inwards if abs(normal @ inwards) > SHEET * radius else normal @ from_limb
     return normal * np.sign(side or 1.0) / max(float(np.linalg.norm(normal)), 1e-12)
+
+
+def plane_normal(points: Array) -> Array | None:
+    """Normal of the plane in which points (K, 3) lie, of either sign; None where they lie in none, or in many."""
+    if len(points) < FEWEST:
+        return None
+    spread, axes = np.linalg.eigh(np.cov(points.T, bias=True))
+    planar = spread[0] < PLANAR * spread[1] and spread[1] > PLANAR * spread[2]
+    return axes[:, 0] if planar else None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from hoi.body.parts import struck_with
+from hoi.body.parts import struck_together
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import posed_means
 from hoi.config import Config, Device
@@ -191,7 +191,7 @@ def struck(config: Config, plan: Plan, state: State) -> str:
     expected = push.joint in LIMBS[config.scene.expected_limb]
     limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
     speed = float(np.linalg.norm(push.v_post))
-    what = f"contact by {struck_with(push)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+    what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
     if plan.implementation("contact") != "collider" or state.trajectory is None:
         return what
     left = push.frame + push.duration * config.scene.fps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
@@ -84,7 +85,9 @@ class Detection(ContactModel):
             light = f"not where the object weighs under {1000 * LIGHT:g} g"
             draft.run("react", "articulated", f"the person takes the opposite impulse, {how}; {light}")
 
-    def search(self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory) -> ContactSearch:
+    def search(
+        self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()
+    ) -> ContactSearch:
         from hoi.method.contact import find_contact
 
         return find_contact(
@@ -96,6 +99,7 @@ class Detection(ContactModel):
             between_frames=self.between_frames,
             over_a_frame=self.velocity is Velocity.frame,
             to_com=self.normal is Normal.centre_of_mass,
+            together=together,
         )
 
     def person(self, scene: Scene, motion: Motion, push: Contact, stage: Stage) -> Person | None:
