@@ -95,8 +95,8 @@ def find_contact(
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
     surface = trajectory.positions[:, : len(scene.thing.cloud)]
     plates = plates_of(scene.thing.cloud, distance)
-    slack = {joint: slack_of(limbs.at_frames[joint][0], distance) for joint in limbs.joints}
-    beyond = max((float(each.max()) for each in slack.values()), default=0.0) + (plates.farthest if plates else 0.0)
+    slack = slack_of(scene.body.cloud.means, distance)
+    beyond = float(slack.max(initial=0.0)) + (plates.farthest if plates else 0.0)
     gap, gap_frame, gap_joint = _smallest_gap(limbs, surface)
 
     def gap_part() -> str:
@@ -117,7 +117,7 @@ def find_contact(
         plates_now = plates and plates.at(object_now)
         touching: dict[int, Touch] = {}
         for joint, limb in candidates.items():
-            found = touch(limb, object_now, distance, plates_now, slack[joint])
+            found = touch(limb, object_now, distance, plates_now, slack[limbs.members[joint]])
             if found.gap < gap:
                 gap, gap_frame, gap_joint = found.gap, frame, joint
             if found.fraction >= tau and found.point is not None:

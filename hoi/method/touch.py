@@ -25,8 +25,10 @@ PLANAR = 0.05
 """Gaussians lie in a plane if their variance across it is less than this share of that along it, either way."""
 FEWEST = 6
 """Touched Gaussians that a plane is fitted to; where there are fewer, or they lie in a row, to their neighbours too."""
+MATTER = 16
+"""Particles of the filling around a touched Gaussian that say where the object's matter is."""
 SHEET = 0.1
-"""Where the matter around a touched point is no farther in than this share of how far is looked, it is a sheet."""
+"""Where their middle is no farther in than this share of how far they are, the object is a sheet."""
 AGREE = np.radians(5.0)
 """The surface's normal counts where it is farther than this from the direction of the centre of mass: it is not known
 better, and a ball is not to be sent sideways by its sampling [rad]."""
@@ -107,9 +109,9 @@ def plates_of(cloud: GaussianCloud, distance: float) -> Plates | None:
     return Plates(np.maximum(half[:, None] * proportions - distance, 0.0), axes, means)
 
 
-def slack_of(limb: Array, distance: float) -> Array:
-    """How far beyond d_contact each of a limb's Gaussians (M, 3) [m] reaches, (M,) [m]: half their spacing."""
-    apart = spacing(limb)
+def slack_of(skin: Array, distance: float) -> Array:
+    """How far beyond d_contact each of a person's Gaussians (M, 3) [m] reaches, (M,) [m]: half their spacing."""
+    apart = spacing(skin)
     return np.where(apart > FINE * distance, np.maximum(0.5 * apart - distance, 0.0), 0.0)
 
 
@@ -181,23 +183,21 @@ def contact_normal(
 def surface_normal(found: Touch, particles: Array, thing: SceneObject) -> Array:
     """The touched surface's normal, into the object, (3,)."""
     assert found.point is not None
-    point, count = found.point, len(thing.cloud)
-    from_point = np.linalg.norm(particles - point, axis=1)
-    filling = thing.volumes[count:] if len(thing.volumes) > count else thing.volumes
-    radius = max(2 * float(filling.mean()) ** (1 / 3), float(from_point.min()))
-    around = from_point <= radius
-    inwards = np.average(particles[around], axis=0, weights=thing.volumes[around]) - point
-    from_limb = point - found.on_limb
+    count = len(thing.cloud)
+    gaussians, matter = particles[:count], particles[count:] if len(particles) > count else particles
+    apart, rows = KDTree(matter).query(found.points, k=min(MATTER, len(matter)))
+    inwards = (matter[rows.reshape(len(found.points), -1)].mean(axis=1) - found.points).mean(axis=0)
+    least = SHEET * float(apart.mean())
+    from_limb = found.point - found.on_limb
 
-    nearest = np.argsort(from_point[:count])[: 2 * FEWEST]
-    wide = max(float(np.linalg.norm(found.points - point, axis=1).max()), float(from_point[nearest].max()))
+    from_point = np.linalg.norm(gaussians - found.point, axis=1)
+    wide = max(float(np.linalg.norm(found.points - found.point, axis=1).max()), np.sort(from_point)[: 2 * FEWEST][-1])
     normal = plane_normal(found.points)
     if normal is None:  # too few of them, or in a row
-        normal = plane_normal(particles[:count][from_point[:count] <= wide])
-    deep = float(np.linalg.norm(inwards)) > SHEET * radius
+        normal = plane_normal(gaussians[from_point <= wide])
     if normal is None:
-        normal = inwards if deep else from_limb
-    side = normal @ inwards if abs(normal @ inwards) > SHEET * radius else normal @ from_limb
+        normal = inwards if np.linalg.norm(inwards) > least else from_limb
+    side = normal @ inwards if abs(normal @ inwards) > least else normal @ from_limb
     return normal * np.sign(side or 1.0) / max(float(np.linalg.norm(normal)), 1e-12)
 
 
