@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hoi.body.parts import struck_together, struck_with
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Run
 from hoi.errors import InputError
@@ -237,10 +238,10 @@ def _velocity_after(shown: Film, contact: Contact) -> Array:
 
 def _outcome(shown: Film) -> str:
     contact, search = shown.contact, shown.run.state.contact
-    if contact is not None:
+    if contact is not None and search is not None:
         speed = float(np.linalg.norm(_velocity_after(shown, contact) - contact.v_object))
-        joint = JOINT_NAMES[contact.joint].replace("_", " ")
-        return f"{joint}, closing speed {contact.v_in:.1f} m/s, object sped up by {speed:.1f} m/s"
+        limb = (struck_with(contact) if search.push is None else struck_together(search)).replace("_", " ")
+        return f"{limb}, closing speed {contact.v_in:.1f} m/s, object sped up by {speed:.1f} m/s"
     if search is not None:
         time = search.smallest_gap_frame / shown.fps
         return f"no contact: closest {100 * search.smallest_gap:.1f} cm at {time:.2f} s"

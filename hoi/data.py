@@ -285,6 +285,15 @@ class Target:
     frame: int
     chosen_by: str
     """"velocity profile" or "scene"."""
+    joints: tuple[int, ...] = ()
+    """Those that push together, j* among them; empty where j* strikes alone."""
+    hold: int = 0
+    """How long after t* they stay on the object [frames]."""
+
+    @property
+    def striking(self) -> tuple[int, ...]:
+        """All joints that should meet the object."""
+        return self.joints or (self.joint,)
 
     def meeting_frame(self, frames: int) -> int:
         """The end of the strike's fastest step in a scene of `frames` frames.
@@ -307,7 +316,7 @@ class Contact:
     point: Array
     """Mean position of the touching object Gaussians [m], shape (3,)."""
     normal: Array
-    """n: unit, from `point` to the centre of mass, shape (3,)."""
+    """n: unit, into the object, the touched surface's or towards the centre of mass, shape (3,)."""
     v_human: Array
     """V_human [m/s], shape (3,)."""
     v_object: Array
@@ -329,6 +338,9 @@ class Contact:
     """What an impulse off the centre of mass added to the object's angular velocity [rad/s], shape (3,)."""
     v_formula: Array = field(default_factory=lambda: np.full(3, math.nan))
     """The paper's V_post = V_obj + (1 + e) v_in n, of a limb that nothing stops [m/s], shape (3,)."""
+    part: str = ""
+    """What people call the skin that touches, such as "right_knee" where the skin above the kneecap goes with the hip
+    j_c; empty where nothing says."""
 
 
 @dataclass(frozen=True)
@@ -340,6 +352,8 @@ class ContactSearch:
     """Over all joints and frames [m]."""
     smallest_gap_frame: float
     smallest_gap_joint: int
+    smallest_gap_part: str = ""
+    """What people call the skin there, as `Contact.part`."""
 
     @property
     def push(self) -> Contact | None:

@@ -73,7 +73,7 @@ class ToyAttraction(Toy, Attraction):
 class ToyContact(Toy, ContactModel):
     v_in: float = 1.0
 
-    def search(self, scene, motion, trajectory):
+    def search(self, scene, motion, trajectory, together=()):
         self.note("search")
         zero, ahead = np.zeros(3), np.array([0.0, 1.0, 0.0])
         contact = Contact(1.5, JOINT, 0.5, zero, ahead, ahead, zero, self.v_in, ahead, ahead, 0.0)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hoi.body.articulated import ROOT, Articulated
-from hoi.body.footing import stances
+from hoi.body.footing import FEET, LOW
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_paths, stand_motion
@@ -97,7 +97,7 @@ class Person:
         self._limits = self.parts.mass * np.array(limits)
         joints = joint_paths(body, motion)
         standing = joint_paths(body, stand_motion(body, 1, motion.fps))[0, :, 2]
-        self._ground = _grounds(joints, standing, motion.fps)
+        self._ground = _grounds(joints, standing)
         self.q, self.rates, self._told = self._path[0].copy(), self._speeds[0].copy(), self._speeds[0].copy()
         self._now, self._ghost = self._path[0], mujoco.MjData(self.parts.model)
         self.kept = [(self.time, self.q.copy())]
@@ -301,19 +301,20 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
-def _grounds(joints: Array, standing: Array, fps: float) -> list[Ground | None]:
-    """What carries the person at each frame; None where no foot is down. Joints (T, 24, 3), standing heights (24,)."""
-    feet: list[list[Array]] = [[] for _ in joints]
-    for stance in stances(joints, standing, fps):
-        for frame in range(stance.first, stance.last + 1):
-            feet[frame].append(joints[frame, stance.joint])
+def _grounds(joints: Array, standing: Array) -> list[Ground | None]:
+    """What carries the person at each frame: the feet that are low, stepping or not; None where none is.
+
+    Args:
+        joints: of the motion [m], (T, 24, 3). standing: their heights in a stand [m], (24,).
+    """
+    feet = list(FEET)
     grounds: list[Ground | None] = []
-    for down in feet:
-        places = np.array(down)
-        if not len(places):
+    for now in joints[:, feet]:
+        down = now[now[:, 2] < standing[feet] + LOW]
+        if not len(down):
             grounds.append(None)
             continue
-        places[:, 2] = 0.0
-        centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
-        grounds.append(Ground(centre, HALF_FOOT + float(np.linalg.norm(places - centre, axis=1).max())))
+        centre = 0.5 * (down.min(axis=0) + down.max(axis=0)) * [1, 1, 0]
+        reach = np.linalg.norm((down - centre)[:, :2], axis=1).max()
+        grounds.append(Ground(centre, HALF_FOOT + float(reach)))
     return grounds

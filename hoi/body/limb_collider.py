@@ -8,8 +8,9 @@ from scipy.spatial import KDTree
 
 from hoi.body.capsules import Capsules, carry, fit_capsules
 from hoi.body.limbs import Limbs
+from hoi.body.parts import struck_with
 from hoi.body.segments import segment_distances
-from hoi.body.skeleton import CHAINS, JOINT_NAMES
+from hoi.body.skeleton import CHAINS, chain_of
 from hoi.body.skinning import joint_frames
 from hoi.data import Array, Contact, Motion, ObjectTrajectory, Scene
 from hoi.errors import RunError
@@ -72,14 +73,14 @@ def ready_to_push(
         starts, ends = carry(capsules, rest_joints, rotations[at : at + 1], positions[at : at + 1])
         return outside(at_frame(free.positions, frames[at]), starts[0], ends[0], capsules.radii)
 
-    striker = next(chain for chain, joints in CHAINS.items() if contact.joint in joints)
+    striker = chain_of(contact.joint)
     limbs = [fit_capsules(scene.body, CHAINS[striker])]
     before = range(math.floor(contact.frame * samples), -1, -1)
     first = next((at for at in before if clear(limbs[0], at)), None)
     if first is None or first == len(frames) - 1:
         raise RunError(
             f"the {striker} is in the object from the first frame to its contact at frame {contact.frame:.2f} "
-            f"({JOINT_NAMES[contact.joint]})"
+            f"({struck_with(contact)})"
         )
     notes = []
     for chain in _near(scene, motion, free, int(frames[first])) if near_only else CHAINS:

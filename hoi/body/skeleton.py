@@ -19,6 +19,13 @@ CHAINS = {
     "trunk": (0, 3, 6, 9, 13, 14),
 }
 """The joints that push together, from the body outwards: each joint is in one chain."""
+
+
+def chain_of(joint: int) -> str:
+    """The name of the chain that a joint is in."""
+    return next(chain for chain, joints in CHAINS.items() if joint in joints)
+
+
 _OF_CHAIN = {
     "foot": ("leg", (2, 3)),
     "knee": ("leg", (1, 0)),  # the skin above the kneecap goes with the thigh

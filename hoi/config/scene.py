@@ -64,6 +64,11 @@ class SceneConf:
     without one, or without a motion prior, the person starts there too."""
     striking_limb: str | None = None
     """The limb that j* is chosen from; null takes all joints, as the paper does."""
+    striking_joints: list[str] | None = None
+    """Joints that push together, such as [left_hand, right_hand]: each has a place of its own on the face that the push
+    goes through, and the person stands square to it; null: j* strikes alone, as in the paper."""
+    hold: float = 0.0
+    """How long after t* these stay on the object [s]."""
     expected_limb: str = MISSING
     """What a person should see strike; reported against what did."""
     contact_joint: str = MISSING

@@ -150,6 +150,15 @@ def validate(config: Config) -> list[str]:
     require(limb is None or limb in LIMBS, "scene.striking_limb", limb, f"null or one of {', '.join(LIMBS)}")
     joints = ", ".join(JOINT_NAMES)
     require(scene.contact_joint in JOINT_NAMES, "scene.contact_joint", scene.contact_joint, f"one of {joints}")
+    together = scene.striking_joints
+    if together is not None:
+        rule = f"null, or two or more different ones of {joints}"
+        known = set(together) <= set(JOINT_NAMES) and len(set(together)) == len(together) >= 2
+        require(known, "scene.striking_joints", together, rule)
+        rule = f"one of scene.striking_joints: {', '.join(together)}"
+        require(not known or scene.contact_joint in together, "scene.contact_joint", scene.contact_joint, rule)
+    rule = "0 or more [s]" if together else "0: scene.striking_joints is null"
+    require(scene.hold == 0 or (together is not None and scene.hold > 0), "scene.hold", scene.hold, rule)
     last = scene.frames - 1
     require(0 <= scene.contact_frame <= last, "scene.contact_frame", scene.contact_frame, f"in [0, {last}]")
 

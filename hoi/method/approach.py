@@ -14,7 +14,8 @@ import torch
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
 from hoi.body.skinning import joint_paths
 from hoi.data import Array, Motion, ObjectTrajectory, Scene, Target
-from hoi.method.attraction import carried_strike
+from hoi.method.attraction import carried_push, carried_strike, pushed_face
+from hoi.method.push import facing
 from hoi.method.scene_representation import check_apart, is_apart
 
 WAITING = 0.02
@@ -37,15 +38,18 @@ def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target:
         InputError: the person would start inside the object `BACK` away from it.
     """
     meeting = target.meeting_frame(scene.frames)
-    height = float(joint_paths(scene.body, motion, frames=[meeting])[0, target.joint, 2])
+    height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
     later = delay(height, trajectory.com[:, 2], meeting)
     motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
-    there = placed(
-        motion,
-        lambda moved: joint_paths(scene.body, moved, frames=[meeting])[0, target.joint],
-        lambda moved: carried_strike(scene, moved, trajectory, target)[meeting],
-        trajectory.com[meeting],
-    )
+    if target.joints:
+        there = squared(scene, motion, trajectory, target)
+    else:
+        there = placed(
+            motion,
+            lambda moved: joint_paths(scene.body, moved, frames=[meeting])[0, target.joint],
+            lambda moved: carried_strike(scene, moved, trajectory, target)[meeting],
+            trajectory.com[meeting],
+        )
     away = (there.translation[0] - trajectory.com[0]) * [1.0, 1.0, 0.0]
     away = away / max(float(np.linalg.norm(away)), 1e-9)
     for back in np.arange(0.0, BACK, BACK_STEP):
@@ -53,6 +57,19 @@ def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target:
             break
     check_apart(scene, moved)
     return moved, target
+
+
+def squared(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Motion:
+    """The motion turned square to the face that its push goes through, and moved along the ground to meet it."""
+    meeting = target.meeting_frame(scene.frames)
+    for _ in range(2):  # from the side the face is seen aslant; from where the first pass leads to, straight
+        way = pushed_face(scene, motion, trajectory, target).direction
+        ahead = facing(joint_paths(scene.body, motion, frames=[meeting])[0])
+        motion = turned(motion, float(np.arctan2(way[1], way[0]) - np.arctan2(ahead[1], ahead[0])))
+        goals = carried_push(scene, motion, trajectory, target)[: len(target.striking), meeting]
+        now = joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking)]
+        motion = shifted(motion, (goals - now).mean(axis=0) * [1.0, 1.0, 0.0])
+    return motion
 
 
 def turned(motion: Motion, angle: float) -> Motion:

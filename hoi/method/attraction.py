@@ -16,6 +16,7 @@ from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Scene, State, Target
 from hoi.frames import at_frame
 from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise, stream_generators
+from hoi.method.push import HANDS, Face, depth_along, face_of, held, palms, places, wrists
 from hoi.reports import Stage
 
 ENDS = 0.2
@@ -55,8 +56,9 @@ def choose_target(joints: Array, candidates: Sequence[int] = range(JOINT_COUNT))
 
 
 def window(frames: int, target: Target, sigma: float, half_width: int) -> Array:
-    """g(t) = exp(-(t - t*)^2 / (2 sigma^2)), zero beyond `half_width` frames, (T,)."""
+    """g(t) = exp(-(t - t*)^2 / (2 sigma^2)), zero beyond `half_width` frames, (T,); 1 while a push is held."""
     offset = np.arange(frames) - target.frame
+    offset = offset - np.clip(offset, 0, target.hold)
     return np.exp(-(offset**2) / (2 * sigma**2)) * (np.abs(offset) <= half_width)
 
 
@@ -94,6 +96,48 @@ def carried_strike(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, t
     return path + strike_offset(trajectory.com[meeting], object_means, limb_means, path, meeting)
 
 
+def carried_push(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Array:
+    """c(t) of each joint of a push, then of its hands' wrists [m], (K + W, T, 3).
+
+    Their own paths, carried to their places on the face and through it together (see `hoi.method.push`), palms flat.
+    """
+    meeting, striking, body = target.meeting_frame(scene.frames), list(target.striking), scene.body
+    joints = joint_paths(body, motion)
+    paths = joints[:, striking].transpose(1, 0, 2)
+    object_means = trajectory.positions[meeting, : len(scene.thing.cloud)]
+    face = pushed_face(scene, motion, trajectory, target)
+    goals = places(face, object_means, paths[:, meeting], body.rest_joints[striking])
+    offsets = []
+    for joint, path, goal in zip(striking, paths, goals, strict=True):
+        own = limb_gaussians(body, joint)
+        if joint in HANDS and len(own):  # the palm, the lower side of the T-pose's hand, without the thumb
+            reach = float(np.quantile((body.rest_joints[joint] - body.cloud.means[own])[:, 1], 0.9))
+        else:
+            limb = posed_means(body, motion, frames=[meeting], subset=own)[0]
+            reach = float(((limb - path[meeting]) @ face.direction).max(initial=0.0))
+        offsets.append(goal - face.direction * reach - path[meeting])
+    carried = held(paths + np.stack(offsets)[:, None], meeting, target.hold, face.direction)
+    hands = [place for place, joint in enumerate(striking) if joint in HANDS]
+    flat = palms(striking, body.rest_joints, face.direction)
+    return np.concatenate([carried, carried[hands] + flat[:, None]])
+
+
+def pushed_face(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Face:
+    """The face that a push of several joints goes through."""
+    meeting = target.meeting_frame(scene.frames)
+    joints = joint_paths(scene.body, motion, frames=[meeting])[0]
+    height = float(joints[list(target.striking), 2].mean())
+    particles, com = trajectory.positions[meeting], trajectory.com[meeting]
+    low, high = (float(bound) for bound in (particles[:, 2].min(), particles[:, 2].max()))
+    return face_of(
+        scene.thing,
+        particles,
+        com,
+        joints[0],
+        float(np.clip(height, 0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high)),
+    )
+
+
 def strike_offset(com: Array, object_means: Array, limb_means: Array, path: Array, meeting: int) -> Array:
     """How far the strike lies from the object [m], (3,).
 
@@ -111,13 +155,25 @@ def strike_offset(com: Array, object_means: Array, limb_means: Array, path: Arra
     direction = direction / np.linalg.norm(direction)
     slack = max(0.5 * float(np.ptp(object_means[:, 2])) - ENDS, 0.0)
     aim = com + np.array([0.0, 0.0, np.clip(joint[2] - com[2], -slack, slack)])
-    from_aim = object_means - aim
-    along = -from_aim @ direction
-    aside = np.linalg.norm(from_aim + along[:, None] * direction, axis=1)
-    near_axis = aside <= max(np.quantile(aside, 0.05), 1e-6)
-    depth = float(along[near_axis].max())
+    depth = depth_along(object_means, aim, direction)
     reach = float(((limb_means - joint) @ direction).max())
     return aim - direction * (depth + reach) - joint
+
+
+def pulled_joints(target: Target) -> tuple[int, ...]:
+    """The joints that the attraction pulls: those that strike, and in a push the wrists too, so that palms lie flat."""
+    return target.striking + (tuple(wrists(target.joints)) if target.joints else ())
+
+
+def goal_paths(
+    scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target, *, to_com: bool = False
+) -> Array:
+    """c(t) of each of the `pulled_joints` [m], (K, T, 3)."""
+    if to_com:
+        return np.broadcast_to(trajectory.com, (len(pulled_joints(target)), *trajectory.com.shape))
+    if target.joints:
+        return carried_push(scene, motion, trajectory, target)
+    return carried_strike(scene, motion, trajectory, target)[None]
 
 
 def windowed_attraction(
@@ -130,7 +186,7 @@ def windowed_attraction(
     *,
     to_com: bool,
 ) -> Term:
-    """L_attr of each run, and lambda_attr, which grows until the joint arrives.
+    """L_attr of each run, the mean over its striking joints, and lambda_attr, which grows until all have arrived.
 
     Args:
         states: with motion, trajectory and target.
@@ -142,22 +198,23 @@ def windowed_attraction(
     for scene, state in zip(batch.scenes, states, strict=True):
         motion, trajectory, target = state.motion, state.trajectory, state.target
         assert motion is not None and trajectory is not None and target is not None
-        goals.append(trajectory.com if to_com else carried_strike(scene, motion, trajectory, target))
+        goals.append(goal_paths(scene, motion, trajectory, target, to_com=to_com))
         windows.append(window(scene.frames, target, sigma, half_width))
         targets.append(target)
     goal, near = (
         torch.as_tensor(np.stack(values), dtype=torch.float32, device=batch.device) for values in (goals, windows)
     )
     frames, device = batch.scenes[0].frames, batch.device
-    runs, joint = torch.arange(len(targets), device=device), torch.tensor([t.joint for t in targets], device=device)
+    runs = torch.arange(len(targets), device=device)
+    pulled = torch.tensor([pulled_joints(target) for target in targets], device=device)  # (B, K)
     meeting = torch.tensor([target.meeting_frame(frames) for target in targets], device=device)
     pull = torch.full((len(targets),), weight, device=device)
 
     def attract(joints: Tensor) -> Tensor:
-        path = joints[runs, :, joint]
-        short = (path.detach() - goal)[runs, meeting].norm(dim=-1)
+        paths = joints[runs[:, None], :, pulled]
+        short = (paths.detach() - goal)[runs, :, meeting].norm(dim=-1).amax(dim=-1)
         pull[short > ARRIVED] *= growth
-        return attraction_loss(path, goal, near)
+        return attraction_loss(paths, goal, near[:, None]).mean(dim=-1)
 
     return attract, pull
 
@@ -231,11 +288,18 @@ def coordinate(
 
 
 def reach_gap(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> float:
-    """Smallest distance between the skin of j* and the object's surface in the step from t* to t* + 1 [m]; 0 inside."""
+    """Smallest distance between the skin of j* and the object's surface in the step from t* to t* + 1 [m]; 0 inside.
+
+    Of several joints that push together the farthest.
+    """
+    return max(_reach_gap(scene, motion, trajectory, target, joint) for joint in target.striking)
+
+
+def _reach_gap(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target, joint: int) -> float:
     meeting = target.meeting_frame(scene.frames)
     frames = np.linspace(max(meeting - 1, 0), meeting, REACH_TESTS)
     gap = math.inf
-    limbs = posed_means(scene.body, motion, frames=frames, subset=limb_gaussians(scene.body, target.joint))
+    limbs = posed_means(scene.body, motion, frames=frames, subset=limb_gaussians(scene.body, joint))
     for frame, skin in zip(frames, limbs, strict=True):
         surface = at_frame(trajectory.positions[:, : len(scene.thing.cloud)], frame)
         com = at_frame(trajectory.com, frame)

@@ -4,19 +4,24 @@ Whole frames are tested as in the paper. Between frames, limb and object are int
 point of a limb moves further than the contact distance between tests: a fist at 10 m/s covers 0.5 m a frame.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from hoi.body.limbs import Limbs
 from hoi.body.mass import PART
+from hoi.body.parts import part_at
+from hoi.body.skeleton import chain_of
 from hoi.body.skinning import joint_frames, joint_paths
 from hoi.data import Array, Body, Contact, ContactSearch, Motion, ObjectState, ObjectTrajectory, Scene, SceneObject
 from hoi.frames import at_frame
+from hoi.method.touch import Touch, contact_normal, plates_of, slack_of, touch
 from hoi.mpm.state import centre_of_mass
 
+TOGETHER = 1.0
+"""So soon after the push the object is still where it was freely, for the limbs that push together [frames]."""
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
 INSTANT = 0.01
@@ -60,35 +65,6 @@ def impulse(v_human: Array, v_object: Array, normal: Array, restitution: float) 
     return v_in, v_object + (1 + restitution) * max(v_in, 0.0) * normal
 
 
-@dataclass(frozen=True)
-class _Touch:
-    fraction: float
-    gap: float
-    point: Array | None
-
-
-def touch(limb: Array, surface: Array, distance: float) -> _Touch:
-    """How a joint's Gaussians touch the object's.
-
-    Args:
-        limb: (M, 3) [m]. surface: (N, 3) [m]. distance: d_contact [m].
-
-    Returns:
-        share of the limb within `distance` of the object, smallest gap [m], and the mean of the object's touching
-        Gaussians (None where nothing touches).
-    """
-    low, high = limb.min(axis=0) - distance, limb.max(axis=0) + distance
-    near = surface[np.all((surface >= low) & (surface <= high), axis=1)]
-    if len(near) == 0:  # the boxes do not overlap
-        return _Touch(0.0, np.inf, None)
-    limb_tree = KDTree(limb)
-    to_object, _ = KDTree(near).query(limb)
-    fraction = float((to_object <= distance).mean())
-    to_limb, _ = limb_tree.query(near, distance_upper_bound=distance)
-    touching = near[np.isfinite(to_limb)]
-    return _Touch(fraction, float(to_object.min()), touching.mean(axis=0) if len(touching) else None)
-
-
 def find_contact(
     scene: Scene,
     motion: Motion,
@@ -98,11 +74,13 @@ def find_contact(
     distance: float,
     between_frames: bool,
     over_a_frame: bool = False,
+    to_com: bool = False,
+    together: Sequence[int] = (),
 ) -> ContactSearch:
-    """The first contact that pushes the object, and any separating touch before it.
+    """The first contact that pushes the object, any separating touch before it, and what pushes together with it.
 
     Contact of joint j at frame t_c: its box overlaps the object's, and at least `tau` of its Gaussians lie within
-    `distance` of an object Gaussian.
+    `distance` of an object Gaussian. Gaussians that lie farther apart than that are plates (see `hoi.method.touch`).
 
     Args:
         trajectory: the object's free motion.
@@ -110,17 +88,36 @@ def find_contact(
         between_frames: whether to look between frames too.
         over_a_frame: V_human as the paper has it, of the joint and over the frame before t_c; else that of the touched
             point at t_c.
+        to_com: whether n leads to the centre of mass, as in the paper; else it is the surface's.
+        together: joints that push together: of their limbs, those that touch within `TOGETHER` of the push are contacts
+            too, without an impulse of their own.
     """
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
     surface = trajectory.positions[:, : len(scene.thing.cloud)]
+    plates = plates_of(scene.thing.cloud, distance)
+    slack = slack_of(scene.body.cloud.means, distance)
+    beyond = float(slack.max(initial=0.0)) + (plates.farthest if plates else 0.0)
     gap, gap_frame, gap_joint = _smallest_gap(limbs, surface)
+
+    def gap_part() -> str:
+        if not np.isfinite(gap):
+            return ""
+        skin = limbs.at(gap_joint, np.array([gap_frame]))[0]
+        nearest = skin[KDTree(at_frame(surface, gap_frame)).query(skin)[0].argmin()]
+        return part_at(gap_joint, nearest, at_frame(joints, gap_frame))
+
     contacts: list[Contact] = []
     touched_before: set[int] = set()
-    for frame, candidates in _tests(limbs, surface, distance, between_frames):
+    push: Contact | None = None
+    awaited = {chain_of(joint) for joint in together}
+    for frame, candidates in _tests(limbs, surface, distance, distance + beyond, between_frames):
+        if push is not None and frame > push.frame + TOGETHER:
+            break
         object_now = at_frame(surface, frame)
-        touching: dict[int, _Touch] = {}
+        plates_now = plates and plates.at(object_now)
+        touching: dict[int, Touch] = {}
         for joint, limb in candidates.items():
-            found = touch(limb, object_now, distance)
+            found = touch(limb, object_now, distance, plates_now, slack[limbs.members[joint]])
             if found.gap < gap:
                 gap, gap_frame, gap_joint = found.gap, frame, joint
             if found.fraction >= tau and found.point is not None:
@@ -130,31 +127,36 @@ def find_contact(
                 v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
             else:
                 v_human = _point_velocity(scene.body, motion, joint, frame, touching[joint].point)
-            contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing)
-            if contact.v_in > 0:
-                return ContactSearch((*contacts, contact), gap, gap_frame, gap_joint)
-            if joint not in touched_before:
+            contact = _contact(touching[joint], joint, frame, v_human, trajectory, scene.thing, to_com)
+            contact = replace(contact, part=part_at(joint, touching[joint].on_limb, at_frame(joints, frame)))
+            if push is None:
+                recorded = contact.v_in > 0 or joint not in touched_before
+                push = contact if contact.v_in > 0 else None
+            else:
+                recorded = chain_of(joint) in awaited
+            if recorded:
                 contacts.append(contact)
+            if push is not None:
+                awaited.discard(chain_of(joint))
         touched_before = set(touching)
-    return ContactSearch(tuple(contacts), gap, gap_frame, gap_joint)
+        if push is not None and not awaited:
+            break
+    return ContactSearch(tuple(contacts), gap, gap_frame, gap_joint, gap_part())
 
 
 def _contact(
-    found: _Touch,
+    found: Touch,
     joint: int,
     frame: float,
     v_human: Array,
     trajectory: ObjectTrajectory,
     thing: SceneObject,
+    to_com: bool,
 ) -> Contact:
     assert found.point is not None
     v_object = at_frame(trajectory.com_velocity, frame)
-    towards_com = at_frame(trajectory.com, frame) - found.point
-    length = np.linalg.norm(towards_com)
-    if length < 1e-6:  # the limb is at the centre of mass: push the way it moves
-        towards_com = v_human - v_object
-        length = max(float(np.linalg.norm(towards_com)), 1e-12)
-    normal = towards_com / length
+    particles, com = at_frame(trajectory.positions, frame), at_frame(trajectory.com, frame)
+    normal = contact_normal(found, particles, thing, com, v_human - v_object, to_com)
     v_in, v_post = impulse(v_human, v_object, normal, thing.material.restitution)
     return Contact(
         frame, joint, found.fraction, found.point, normal, v_human, v_object, v_in, v_object, np.zeros(3), found.gap,
@@ -196,9 +198,9 @@ def _smallest_gap(limbs: Limbs, surface: Array) -> tuple[float, float, int]:
 
 
 def _tests(
-    limbs: Limbs, surface: Array, distance: float, between_frames: bool
+    limbs: Limbs, surface: Array, distance: float, reach: float, between_frames: bool
 ) -> Iterator[tuple[float, dict[int, Array]]]:
-    """(frame, {joint: world means}) in the order of time, for the joints whose boxes come near the object's."""
+    """(frame, {joint: world means}) in the order of time, for the joints whose boxes come within `reach` of its box."""
     frames = len(surface)
     low, high = surface.min(axis=1), surface.max(axis=1)
     for frame in range(frames):
@@ -207,11 +209,11 @@ def _tests(
         now: dict[int, Array] = {}
         for joint in limbs.joints:
             pair = limbs.at_frames[joint][[frame, following]]
-            if _overlap(pair[0].min(axis=0), pair[0].max(axis=0), low[frame], high[frame], distance):
+            if _overlap(pair[0].min(axis=0), pair[0].max(axis=0), low[frame], high[frame], reach):
                 now[joint] = pair[0]
             span = (pair.min(axis=(0, 1)), pair.max(axis=(0, 1)))
             object_span = (low[[frame, following]].min(axis=0), high[[frame, following]].max(axis=0))
-            if _overlap(*span, *object_span, distance + SWEEP_MARGIN):
+            if _overlap(*span, *object_span, reach + SWEEP_MARGIN):
                 swept[joint] = (pair[0], pair[1])
         if now:
             yield float(frame), now

@@ -88,7 +88,8 @@ class Walk:
         # Contact detection and re-simulation.
         if self.plan.keeps("contact"):
             with stages.stage("contact", 1):
-                search = options.contact.search(scene, state.motion, state.trajectory)
+                together = state.target.joints if state.target else ()
+                search = options.contact.search(scene, state.motion, state.trajectory, together)
             self.states[run] = state = replace(state, contact=search)
             if (push := search.push) is not None:
                 with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:

@@ -42,7 +42,7 @@ def _object(title: str, properties: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-_CONTACT = {float: _NUMBER, int: {"type": "integer"}, Array: _numbers("x, y, z")}
+_CONTACT = {float: _NUMBER, str: {"type": "string"}, int: {"type": "integer"}, Array: _numbers("x, y, z")}
 
 JSON_SCHEMAS = {
     "/human/motion": _object(

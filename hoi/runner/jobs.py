@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from hoi.body.parts import struck_together
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import posed_means
 from hoi.config import Config, Device
@@ -184,13 +185,13 @@ def struck(config: Config, plan: Plan, state: State) -> str:
     push = search.push
     if push is None:
         separating = " (touched while separating)" if search.contacts else ""
-        joint = JOINT_NAMES[search.smallest_gap_joint]
+        joint = search.smallest_gap_part or JOINT_NAMES[search.smallest_gap_joint]
         where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
         return f"no contact{separating}: smallest gap {where}"
     expected = push.joint in LIMBS[config.scene.expected_limb]
     limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
     speed = float(np.linalg.norm(push.v_post))
-    what = f"contact by {JOINT_NAMES[push.joint]} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
+    what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
     if plan.implementation("contact") != "collider" or state.trajectory is None:
         return what
     left = push.frame + push.duration * config.scene.fps

@@ -173,8 +173,10 @@ class ContactModel(Option):
         """From where on skin and object touch [m]."""
         return D_CONTACT
 
-    def search(self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory) -> ContactSearch:
-        """The contacts of a motion and the object's free motion."""
+    def search(
+        self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()
+    ) -> ContactSearch:
+        """The contacts of a motion and the object's free motion; `together` are joints that push together."""
         raise NotImplementedError
 
     def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:

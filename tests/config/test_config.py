@@ -56,7 +56,9 @@ def test_the_papers_numbers(composed):
     assert (attraction.lambda_attr, attraction.sigma, attraction.target.value) == (1.0, 2.0, "com")
     contact = config.stage.contact
     assert isinstance(contact, Detection)
-    assert (contact.tau, contact.distance) == (0.05, 0.01)
+    assert (contact.tau, contact.distance, contact.normal.value) == (0.05, 0.01, "centre_of_mass")
+    pushed = to_config(composed("experiment=paper", "scene=push_box")).scene
+    assert (pushed.striking_joints, pushed.hold) == (None, 0.0)
     material = config.material
     assert (material.youngs_modulus, material.poisson_ratio, material.restitution) == (1e7, 0.45, 0.6)
     mover = config.stage.object
@@ -95,6 +97,18 @@ def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
         (["scene.placement.position=[null,1,1]"], "scene.placement.position must be numbers in x and y"),
         (["scene.expected_limb=tail"], "scene.expected_limb must be one of left_foot"),
         (["scene.striking_limb=tail"], "scene.striking_limb must be null or one of left_foot"),
+        (
+            ["scene.striking_joints=[left_hand,tail]"],
+            "scene.striking_joints must be null, or two or more different ones of",
+        ),
+        (["scene.striking_joints=[left_hand]"], "scene.striking_joints must be null, or two or more different ones of"),
+        (["scene.striking_joints=[left_hand,left_hand]"], "got ['left_hand', 'left_hand']"),
+        (
+            ["scene.striking_joints=[left_hand,right_hand]"],
+            "scene.contact_joint must be one of scene.striking_joints: left_hand, right_hand, got right_foot",
+        ),
+        (["scene.hold=0.2"], "scene.hold must be 0: scene.striking_joints is null, got 0.2"),
+        (["scene=push_box", "scene.hold=-1"], "scene.hold must be 0 or more [s], got -1"),
         (["scene.contact_frame=40"], "scene.contact_frame must be in [0, 39], got 40"),
         (["stage.contact.tau=0"], "stage.contact.tau must be in (0, 1], got 0"),
         (["stage.object.limit_fraction=1.5"], "stage.object.limit_fraction must be in (0, 1], got 1.5"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
@@ -32,6 +33,11 @@ class Velocity(StrEnum):
     frame = "frame"
 
 
+class Normal(StrEnum):
+    surface = "surface"
+    centre_of_mass = "centre_of_mass"
+
+
 @dataclass
 class Detection(ContactModel):
     """Contact detection (paper, Contact Detection and Re-simulation Details), and how heavy the limb is."""
@@ -54,6 +60,8 @@ class Detection(ContactModel):
     """Share of a blow that a limb takes in one piece, its other joints locked; the rest finds all joints free [-]."""
     recovery: float = MISSING
     """How long the person takes to make good 95% of a small push [s]."""
+    normal: Normal = MISSING
+    """n, along which the object is pushed: into the touched surface, or from there to the centre of mass."""
 
     @property
     def d_contact(self) -> float:
@@ -77,7 +85,9 @@ class Detection(ContactModel):
             light = f"not where the object weighs under {1000 * LIGHT:g} g"
             draft.run("react", "articulated", f"the person takes the opposite impulse, {how}; {light}")
 
-    def search(self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory) -> ContactSearch:
+    def search(
+        self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()
+    ) -> ContactSearch:
         from hoi.method.contact import find_contact
 
         return find_contact(
@@ -88,6 +98,8 @@ class Detection(ContactModel):
             distance=self.distance,
             between_frames=self.between_frames,
             over_a_frame=self.velocity is Velocity.frame,
+            to_com=self.normal is Normal.centre_of_mass,
+            together=together,
         )
 
     @property

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from omegaconf import MISSING
 
-from hoi.body.skeleton import JOINT_COUNT, LIMBS
+from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
 from hoi.errors import InputError, under
 from hoi.stages.contract import Draft, MotionSource, Requirements, option
 
@@ -186,6 +186,11 @@ class HMSD(MotionSource):
     def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
         from hoi.body.skinning import joint_paths
         from hoi.method.attraction import choose_target
+        from hoi.method.push import choose_push
 
+        joints = joint_paths(scene.body, motion)
+        if conf.striking_joints:
+            together = [JOINT_NAMES.index(name) for name in conf.striking_joints]
+            return choose_push(joints, together, round(conf.hold * scene.fps))
         candidates = LIMBS[conf.striking_limb] if conf.striking_limb else range(JOINT_COUNT)
-        return choose_target(joint_paths(scene.body, motion), candidates)
+        return choose_target(joints, candidates)

@@ -26,4 +26,6 @@ class NoMotion(MotionSource):
         draft.omit("motion", because, "importing the motion prior and its text encoder")
 
     def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
-        return Target(JOINT_NAMES.index(conf.contact_joint), conf.contact_frame, "scene")
+        together = tuple(JOINT_NAMES.index(name) for name in conf.striking_joints or ())
+        hold = round(conf.hold * scene.fps)
+        return Target(JOINT_NAMES.index(conf.contact_joint), conf.contact_frame, "scene", together, hold)

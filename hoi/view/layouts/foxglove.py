@@ -23,7 +23,7 @@ def layout() -> dict[str, Any]:
         "configById": {
             SCENE: _scene(),
             PICTURE: _picture(),
-            PHASES: _timed([_series("/object/energy.phase", "object"), _series("/contact.joint_name", "contact")]),
+            PHASES: _timed([_series("/object/energy.phase", "object"), _series("/contact.part", "contact")]),
             ENERGY: _plot(
                 "energy of the object [J]",
                 [_series(f"/object/energy.{name}", name, color=colour) for name, colour in COLOURS.items()],

@@ -1,0 +1,58 @@
+"""What people call the place where a person is touched.
+
+The skin goes with the joint that turns it: what is above the kneecap with the hip. Who strikes with it strikes with the
+knee.
+"""
+
+from hoi.body.skeleton import JOINT_NAMES
+from hoi.data import Array, Contact, ContactSearch
+
+NEAR, FAR = 0.2, 0.7
+"""Skin up to the first share of a bone belongs to the joint at its start, from the second on to the one at its end."""
+_ALONG = {
+    "hip": ("hip", "thigh", "knee"),
+    "knee": ("knee", "shin", "ankle"),
+    "shoulder": ("shoulder", "upper_arm", "elbow"),
+    "elbow": ("elbow", "forearm", "wrist"),
+    "wrist": ("wrist", "hand", "hand"),
+}
+"""Of the joints with a bone: what is at its start, along it, and at its end."""
+_NEXT = {"hip": "knee", "knee": "ankle", "shoulder": "elbow", "elbow": "wrist", "wrist": "hand"}
+"""The joint at the end of that bone."""
+_WHOLE = {
+    "ankle": "foot",
+    "collar": "shoulder",
+    "pelvis": "hips",
+    "spine1": "belly",
+    "spine2": "chest",
+    "spine3": "chest",
+}
+"""Other joints whose skin people give another name."""
+
+
+def part_at(joint: int, point: Array, joints: Array) -> str:
+    """The name of a joint's skin at a point: "right_knee", "left_hand", "chest".
+
+    Args:
+        joint: whose skin it is. point: on the skin [m], (3,). joints: of the person then [m], (24, 3).
+    """
+    side, _, name = JOINT_NAMES[joint].rpartition("_")
+    if name in _ALONG:
+        bone = joints[JOINT_NAMES.index(f"{side}_{_NEXT[name]}")] - joints[joint]
+        share = (point - joints[joint]) @ bone / max(float(bone @ bone), 1e-12)
+        start, along, end = _ALONG[name]
+        name = start if share < NEAR else along if share < FAR else end
+    else:
+        name = _WHOLE.get(name, name)
+    return f"{side}_{name}" if side else name
+
+
+def struck_with(contact: Contact) -> str:
+    """What touched the object, as people call it; the joint where the record is of a time before parts had names."""
+    return contact.part or (JOINT_NAMES[contact.joint] if contact.joint >= 0 else "body")
+
+
+def struck_together(search: ContactSearch) -> str:
+    """What pushed the object, as people call it, and what pushed together with it: "left_hand and right_hand"."""
+    first = next(place for place, contact in enumerate(search.contacts) if contact is search.push)
+    return " and ".join(dict.fromkeys(struck_with(contact) for contact in search.contacts[first:]))
