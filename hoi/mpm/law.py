@@ -95,6 +95,8 @@ class Law:
     """Whether the body may move as one piece where nothing touches it."""
     shears: bool = True
     """Whether it bears shear at rest; if not its mu is 0, and its waves need lambda > 0."""
+    seeps: bool = False
+    """Whether nothing holds its parts together, so that it would sink into the half cell above a plane's nodes."""
     viscous: bool = False
     """Whether `viscosity` acts explicitly, in the stress, so that it limits the time step."""
     springs: bool = False

@@ -107,13 +107,13 @@ class Tally:
         return left_out / (self.seconds["mpm"] / self.steps if self.steps else self.first_step)
 
 
-def reach_of(plane: Plane, dx: float, width: int = 3) -> float:
+def reach_of(plane: Plane, dx: float, width: int = 3, depth: float = PLANE_DEPTH) -> float:
     """How far from a plane a particle's stencil still meets a node that the plane holds [m].
 
-    A stencil of `width` nodes reaches half as many cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`,
+    A stencil of `width` nodes reaches half as many cells along each axis. The nodes held lie deeper than `depth` cells,
     and in layers a whole cell apart where the plane is parallel to them.
     """
-    normal, depth = plane.normal, PLANE_DEPTH * dx
+    normal, depth = plane.normal, depth * dx
     if np.abs(normal).max() > 1 - 1e-12:
         height = float(plane.point @ normal)
         depth = height - math.floor((height - depth) / dx + 1e-6) * dx

@@ -80,5 +80,5 @@ def kernels() -> Kernels:
 
 LAW = Law(
     energy_density, kirchhoff_stress, kernels, return_map, parameters,
-    uses=frozenset({"viscosity"}), rigid=False, shears=False, viscous=True, order=7,
+    uses=frozenset({"viscosity"}), rigid=False, shears=False, seeps=True, viscous=True, order=7,
 )  # fmt: skip

@@ -163,6 +163,7 @@ def advance(
     import numpy as np
 
     from hoi.method.object_motion import Advanced
+    from hoi.mpm.boundary import plane_depth
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
@@ -196,7 +197,7 @@ def advance(
     rebound = [rebound_of(material, size / dx) if conf.damping else 1.0 for material in thing.materials]
     softest = min(damping(share).least for share in rebound)
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
-    reaches = [reach_of(plane, dx, width) for plane in planes]
+    reaches = [reach_of(plane, dx, width, plane_depth(thing.materials)) for plane in planes]
     whole = all(LAWS[material.model].rigid for material in thing.materials)
     walk = Walk(
         state,
