@@ -87,6 +87,8 @@ class Law:
     """(p, trial F, hardening, dt) -> (F, hardening); None: the law does not flow."""
     parameters: Callable[[Material], tuple[float, ...]] = lame
     """The numbers that the law works with, a tuple with names of which the first two are those of `Elastic`."""
+    clamped: Callable[[Any, Array, Array], Array] | None = None
+    """(p, F, hardening) -> whether a particle is at a bound of the method's, not the material's, shape (...)."""
     uses: frozenset[str] = frozenset()
     """Fields of Material that it takes beside elasticity, density, restitution and ground friction."""
     keeps_total: bool = False

@@ -6,7 +6,7 @@ A trajectory is walked in phases:
 | --- | --- | --- |
 | mpm | always, unless one of the others holds | every particle, every step |
 | flight | no particle can touch a plane or the collider, and the body hardly vibrates | rigid, `hoi.mpm.rigid.Flight` |
-| rest | every particle has been slow for a while, too slow to matter until the end | held where it is |
+| rest | every particle has been slow for a while, by its speed of fall sqrt(g size) | held where it is |
 
 A body without strain and spin flies at once, grains and fluids too: nothing in it acts. Else flight leaves out the
 vibration about the rigid motion. With its energy E_vib and the body's lowest frequency omega, no smaller than
@@ -233,12 +233,12 @@ class Walk:
         self.tally.add(self.simulation, self._began)
 
     def _rests(self, speed: float) -> bool:
-        """Whether, for a while, no particle has been fast enough to get anywhere until the end.
+        """Whether, for a while, no particle has been faster than `tolerance` times sqrt(g size), its speed in a fall.
 
         That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
         """
         collider = self._around.collider
-        slow = speed * (self._end - self.time) <= self._tolerance * self._size
+        slow = speed <= self._tolerance * math.sqrt(float(np.linalg.norm(self._gravity)) * self._size)
         if not slow or (collider is not None and self.time < collider.times[-1]):
             self._still_since = math.inf
         else:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hoi.data import Array, Material
-from hoi.mpm.hencky import energy_density, flow, kirchhoff_stress, trial_strain
+from hoi.mpm.hencky import crushed, energy_density, flow, kirchhoff_stress, trial_strain
 from hoi.mpm.law import LAM, MU, Kernels, Law, lame
 from hoi.mpm.tensors import composed
 
@@ -67,6 +67,6 @@ def kernels() -> Kernels:
 
 
 LAW = Law(
-    energy_density, kirchhoff_stress, kernels, return_map, parameters,
+    energy_density, kirchhoff_stress, kernels, return_map, parameters, clamped=crushed,
     uses=frozenset({"friction_angle"}), rigid=False, seeps=True, order=5,
 )  # fmt: skip
