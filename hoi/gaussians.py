@@ -28,6 +28,8 @@ T = TypeVar("T", bound=Any)
 
 SH_C0 = 0.28209479177387814
 """Y_0, the constant spherical harmonic."""
+MOST_STRETCH = 2.0
+"""Most that a Gaussian is drawn longer than at rest [-]."""
 MAX_DROPPED_FRACTION = 0.01
 """A file with more unusable Gaussians than this is taken as broken."""
 
@@ -337,12 +339,29 @@ def transform(
     )
 
 
+def limited(deformation_gradient: Array) -> Array:
+    """F (N, 3, 3) with its singular values at most `MOST_STRETCH`.
+
+    As long as a body holds together, its Gaussians meet when each is as much longer as they are farther apart. What is
+    stretched beyond that has torn, or has flowed past its neighbours: its F says how far they have gone, not how large
+    it is, and would draw needles metres long.
+    """
+    torn = np.flatnonzero((deformation_gradient**2).sum((-2, -1)) > MOST_STRETCH**2)
+    if len(torn) == 0:
+        return deformation_gradient
+    left, sizes, right = np.linalg.svd(deformation_gradient[torn])
+    bounded = deformation_gradient.copy()
+    bounded[torn] = (left * np.minimum(sizes, MOST_STRETCH)[:, None, :]) @ right
+    return bounded
+
+
 def deform(cloud: GaussianCloud, means: Array, deformation_gradient: Array) -> GaussianCloud:
     """The cloud with its Gaussians at `means` [m] (N, 3) and stretched by F (N, 3, 3): covariances F Sigma F^T
-    (PhysGaussian's kinematics, used by the paper).
+    (PhysGaussian's kinematics, used by the paper), F as `limited` has it.
 
     Colours turn with the rotation of F's polar decomposition.
     """
+    deformation_gradient = limited(deformation_gradient)
     axes, scales, _ = np.linalg.svd(deformation_gradient @ (rotation_matrices(cloud) * cloud.scales[:, None, :]))
     axes[:, :, 2] *= np.linalg.det(axes)[:, None]  # an axis may point either way; a rotation may not mirror
     sh = cloud.sh

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hoi.data import Array, ObjectTrajectory, SceneObject
 from hoi.export.person import FAINT
 from hoi.export.surface import Faces, blend_weights, reconstruct
-from hoi.gaussians import colours
+from hoi.gaussians import colours, limited
 
 RIGID = 1e-4
 """What moves no vertex farther than this from where the rigid motion has it is no deformation [m]."""
@@ -90,7 +90,7 @@ def _carried(vertices: Array, rest: Array, seen: NDArray[np.intp], trajectory: O
     for frame, positions in enumerate(trajectory.positions):
         if rigid is None:
             assert gradient is not None
-            turned = np.einsum("vkij,vkj->vki", gradient[frame][seen][rows].astype(np.float64), arms)
+            turned = np.einsum("vkij,vkj->vki", limited(gradient[frame][seen])[rows].astype(np.float64), arms)
         else:
             turned = arms @ rigid[frame].T
         places[frame] = np.einsum("vk,vkd->vd", weights, positions[seen].astype(np.float64)[rows] + turned)

@@ -2,7 +2,9 @@
 
 Quadratic B-splines stop a body about a cell before a solid node, so a plane is solid from half a cell below its surface
 on: with nodes in the surface, as the ground z = 0 has, the first solid ones are a cell below, and a body comes to rest
-with its surface within 0.1 dx of the plane (measured with 8 and 27 particles a cell).
+with its surface within 0.1 dx of the plane (measured with 8 and 27 particles a cell). Grains and fluids have nothing
+that holds them up a cell before such a node: they would sink by 0.7 to 1.0 cells. For them the nodes in the surface
+hold too, and they come to rest within 0.3 cells above it.
 
 Friction acts at the surface, not in the nodes that hold: the velocity at the surface is that of such a node, as much
 above it as the surface is. The gradient is that of the particles near the plane, which leave its component along the
@@ -17,12 +19,23 @@ in the capsule instead, it is felt from 1.0 to 1.4 dx before its surface, and on
 # Kernel annotations are values, not types, and vectors can be sliced.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
+from collections.abc import Sequence
+
 from hoi.compute import ti
+from hoi.data import Material
+from hoi.mpm.laws import LAWS
 
 COULOMB, SLIP, STICK = 0.0, 1.0, 2.0
 """Kinds of contact as the kernels read them."""
 PLANE_DEPTH = 0.5
-"""Where a plane becomes solid: this far below its surface [cells]."""
+"""Where a plane becomes solid for a body: this far below its surface [cells]."""
+LOOSE_DEPTH = -0.01
+"""The same for grains and fluids: just above, so that nodes in the surface hold [cells]."""
+
+
+def plane_depth(materials: Sequence[Material]) -> float:
+    """Where a plane becomes solid for an object of these materials, below its surface [cells]."""
+    return LOOSE_DEPTH if all(LAWS[material.model].seeps for material in materials) else PLANE_DEPTH
 
 
 @ti.func
@@ -61,20 +74,21 @@ def nearest_plane(place, reach, planes: ti.template()):
 
 
 @ti.func
-def hold_to_planes(velocity, slope, place, planes: ti.template(), dx):
+def hold_to_planes(velocity, slope, place, planes: ti.template()):
     """Velocity of a node at `place` [m, from the window's origin] held by every plane it lies in.
 
-    Each plane is two rows: unit normal and height of the window's origin above where the plane is solid [m]; then kind
-    and friction. `slope` is the velocity's derivative along the normal [1/s]. Nothing is sent back: how a body bounces
-    is its own elasticity and loss. Sending back a share of a node's velocity makes energy (measured: a block leaves at
-    up to twice its speed), and sending back only what is not the stress's doing changes nothing.
+    Each plane is two rows: unit normal and height of the window's origin above where the plane is solid [m]; then kind,
+    friction and how deep below its surface it is solid [m]. `slope` is the derivative of the velocity along it [1/s].
+    Nothing is sent back: how a body bounces is its own elasticity and loss. Sending back a share of a node's velocity
+    makes energy (measured: a block leaves at up to twice its speed), and sending back only what is not the stress's
+    doing changes nothing.
     """
     for i in range(planes.shape[0] // 2):
         surface, contact = planes[2 * i], planes[2 * i + 1]
         height = height_above(place, surface)
         if height < 0.0:
             normal = ti.Vector([surface[0], surface[1], surface[2], 0.0])
-            to_surface = (PLANE_DEPTH * dx - height) * (slope - slope.dot(normal) * normal)
+            to_surface = (contact[2] - height) * (slope - slope.dot(normal) * normal)
             velocity = after_contact(velocity + to_surface, normal, contact[1], contact[0]) - to_surface
     return velocity
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from hoi.data import Array
 from hoi.mpm.law import LAM, MU, Elastic, Kernels
-from hoi.mpm.tensors import composed, transposed, uncrushed_svd
+from hoi.mpm.tensors import LEAST_STRETCH, composed, transposed, uncrushed_svd
 
 
 def energy_density(p: Elastic, f: Array, hardening: Array) -> Array:
@@ -42,6 +42,11 @@ def trial_strain(trial: Array) -> tuple[Array, Array, Array, Array, Array]:
     trace = strain.sum(-1)
     deviator = strain - trace[..., None] / 3
     return u, vt, trace, deviator, np.linalg.norm(deviator, axis=-1)
+
+
+def crushed(p: Elastic, f: Array, hardening: Array) -> Array:
+    """As `Law.clamped`: a singular value has been raised to the least."""
+    return np.linalg.svd(f, compute_uv=False).min(-1) <= LEAST_STRETCH * (1 + 1e-5)
 
 
 def flow(plastic: Callable[..., Any]) -> Kernels:

@@ -257,7 +257,7 @@ def update_node(node, nodes, copies, near, grid: ti.template(), slope: ti.templa
                 touched[node] = 0
                 pushed = hold_to_capsules(velocity, place, capsules, now)
                 given = mass * (pushed - velocity)
-            velocity = hold_to_planes(pushed, turning * (1.0 / mass), place, planes, dx)
+            velocity = hold_to_planes(pushed, turning * (1.0 / mass), place, planes)
         total = velocity
     grid[node] = total
     return given

@@ -87,6 +87,8 @@ class Law:
     """(p, trial F, hardening, dt) -> (F, hardening); None: the law does not flow."""
     parameters: Callable[[Material], tuple[float, ...]] = lame
     """The numbers that the law works with, a tuple with names of which the first two are those of `Elastic`."""
+    clamped: Callable[[Any, Array, Array], Array] | None = None
+    """(p, F, hardening) -> whether a particle is at a bound of the method's, not the material's, shape (...)."""
     uses: frozenset[str] = frozenset()
     """Fields of Material that it takes beside elasticity, density, restitution and ground friction."""
     keeps_total: bool = False
@@ -95,6 +97,8 @@ class Law:
     """Whether the body may move as one piece where nothing touches it."""
     shears: bool = True
     """Whether it bears shear at rest; if not its mu is 0, and its waves need lambda > 0."""
+    seeps: bool = False
+    """Whether nothing holds its parts together, so that it would sink into the half cell above a plane's nodes."""
     viscous: bool = False
     """Whether `viscosity` acts explicitly, in the stress, so that it limits the time step."""
     springs: bool = False

@@ -86,6 +86,15 @@ def kirchhoff_stress(
     return law.kirchhoff_stress(parameters(material), deformation_gradient, velocity_gradient, hardening)
 
 
+def clamped(material: Material, deformation_gradient: Array, hardening: Array | float = 0.0) -> Array:
+    """Which particles are at a bound of the method's: a fluid's least J, crushed solids, the bounds of snow."""
+    hardening = np.broadcast_to(hardening, deformation_gradient.shape[:-2])
+    law = LAWS[material.model].clamped
+    if law is None:
+        return np.zeros(hardening.shape, dtype=bool)
+    return law(parameters(material), deformation_gradient, hardening)
+
+
 def return_map(material: Material, trial: Array, hardening: Array | float, dt: float) -> tuple[Array, Array]:
     """The elastic F (..., 3, 3) and `hardening` (...) that a step of `dt` [s] to the trial F (..., 3, 3) ends with."""
     hardening = np.broadcast_to(hardening, trial.shape[:-2])

@@ -6,7 +6,7 @@ A trajectory is walked in phases:
 | --- | --- | --- |
 | mpm | always, unless one of the others holds | every particle, every step |
 | flight | no particle can touch a plane or the collider, and the body hardly vibrates | rigid, `hoi.mpm.rigid.Flight` |
-| rest | every particle has been slow for a while, too slow to matter until the end | held where it is |
+| rest | every particle has been slow for a while, by its speed of fall sqrt(g size) | held where it is |
 
 A body without strain and spin flies at once, grains and fluids too: nothing in it acts. Else flight leaves out the
 vibration about the rigid motion. With its energy E_vib and the body's lowest frequency omega, no smaller than
@@ -114,13 +114,13 @@ class Tally:
         return left_out / (self.seconds["mpm"] / self.steps if self.steps else self.first_step)
 
 
-def reach_of(plane: Plane, dx: float, width: int = 3) -> float:
+def reach_of(plane: Plane, dx: float, width: int = 3, depth: float = PLANE_DEPTH) -> float:
     """How far from a plane a particle's stencil still meets a node that the plane holds [m].
 
-    A stencil of `width` nodes reaches half as many cells along each axis. The nodes held lie deeper than `PLANE_DEPTH`,
+    A stencil of `width` nodes reaches half as many cells along each axis. The nodes held lie deeper than `depth` cells,
     and in layers a whole cell apart where the plane is parallel to them.
     """
-    normal, depth = plane.normal, PLANE_DEPTH * dx
+    normal, depth = plane.normal, depth * dx
     if np.abs(normal).max() > 1 - 1e-12:
         height = float(plane.point @ normal)
         depth = height - math.floor((height - depth) / dx + 1e-6) * dx
@@ -243,11 +243,12 @@ class Walk:
         self.tally.add(self.simulation, self._began)
 
     def _rests(self, box: Array, speed: float) -> bool:
-        """Whether, for a while, no particle has been fast enough to get anywhere until the end, and no limb will come.
+        """Whether, for a while, no particle has been faster than `tolerance` times sqrt(g size), its speed in a fall,
+        and no limb will come.
 
         That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
         """
-        slow = speed * (self._end - self.time) <= self._tolerance * self._size
+        slow = speed <= self._tolerance * math.sqrt(float(np.linalg.norm(self._gravity)) * self._size)
         if not slow or will_be_pushed(box, self._around.moving(self.time), self.time, self._around.collider_reach):
             self._still_since = math.inf
         else:

@@ -483,10 +483,10 @@ class Simulation:
 
     def _place_planes(self, origin: NDArray[np.int64]) -> None:
         """Writes the planes as `hold_to_planes` reads them."""
-        rows = []
+        rows, depth = [], boundary.plane_depth(self.materials) * self.dx
         for plane in self.planes:
-            height = float((origin * self.dx - plane.point) @ plane.normal) + boundary.PLANE_DEPTH * self.dx
-            rows += [[*plane.normal, height], [CONTACTS[plane.contact], plane.friction, 0.0, 0.0]]
+            height = float((origin * self.dx - plane.point) @ plane.normal) + depth
+            rows += [[*plane.normal, height], [CONTACTS[plane.contact], plane.friction, depth, 0.0]]
         _fill(self.plane_rows, np.reshape(rows, (-1, 4)))
 
     def _capsules(self, origin: NDArray[np.int64]) -> Any:

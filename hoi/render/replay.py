@@ -148,7 +148,7 @@ class _MovingObject:
         means = self._tensor(self._positions[frame])
         if self._gradient is None:
             return replace(self._still, means=means)
-        deformation = self._tensor(self._gradient[frame])
+        deformation = self._tensor(gaussians.limited(self._gradient[frame]))
         root = deformation @ self._root
         turns = polar_rotation(deformation) if self._still.sh.shape[1] > 1 else None
         return replace(self._still, means=means, covariances=root @ root.mT, turns=turns)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hoi.data import Array, Material, ObjectState, Plane
+from hoi.mpm.boundary import plane_depth
 from hoi.mpm.laws import LAWS
 from hoi.mpm.materials import kirchhoff_stress, return_map
 
@@ -71,16 +72,21 @@ def step(
     np.add.at(grid_mass, flat, w * masses[:, None])
     np.add.at(grid_velocity, flat, w[..., None] * momentum)
     slope = np.zeros_like(grid_velocity)
-    np.add.at(slope, flat, w[..., None] * (masses[:, None] * along_normal(x, c, planes, dx, spline))[:, None])
+    np.add.at(
+        slope,
+        flat,
+        w[..., None] * (masses[:, None] * along_normal(x, c, planes, plane_depth([material]), dx, spline))[:, None],
+    )
 
-    # Grid: velocity, gravity, planes (solid from half a cell below their surface; why so, see hoi.mpm.boundary).
+    # Grid: velocity, gravity, planes (where they become solid: `hoi.mpm.boundary`).
     occupied = grid_mass > 0
     slope[occupied] /= grid_mass[occupied, None]
     grid_velocity[occupied] = grid_velocity[occupied] / grid_mass[occupied, None] + dt * np.asarray(gravity)
     places = (np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape)), axis=-1) + origin) * dx
+    depth = plane_depth([material])
     for plane in planes:
         height = (places - plane.point) @ plane.normal
-        solid = height < -0.5 * dx
+        solid = height < -depth * dx
         tangential = slope - (slope @ plane.normal)[:, None] * plane.normal
         to_surface = (-height[:, None] * tangential)[solid]
         grid_velocity[solid] = after_contact(grid_velocity[solid] + to_surface, plane) - to_surface
@@ -95,11 +101,11 @@ def step(
     return ObjectState(x + dt * velocity, velocity, gradient, total, f if keeps else None, hardening)
 
 
-def along_normal(x: Array, c: Array, planes: Sequence[Plane], dx: float, spline: str) -> Array:
+def along_normal(x: Array, c: Array, planes: Sequence[Plane], depth: float, dx: float, spline: str) -> Array:
     """C n of each particle, n the normal of the nearest plane that rubs, 0 where none is near, (P, 3)."""
     slope, nearest = np.zeros_like(x), np.full(len(x), (1.5 if spline == "quadratic" else 2.0) * dx)
     for plane in planes:
-        height = (x - plane.point) @ plane.normal + 0.5 * dx
+        height = (x - plane.point) @ plane.normal + depth * dx
         nearer = (height < nearest) & (plane.contact != "slip")
         slope[nearer], nearest[nearer] = c[nearer] @ plane.normal, height[nearer]
     return slope

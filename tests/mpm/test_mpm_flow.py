@@ -69,7 +69,7 @@ def test_sand_comes_to_rest_in_a_heap_as_steep_as_its_friction() -> None:
         result = collapsed(angle)
         x, z = result.final.positions[:, 0], result.final.positions[:, 2]
         assert np.linalg.norm(result.com_velocity[-1]) < 0.02
-        assert result.energy[-1, 0] < 1e-3 * result.energy[0, 0]
+        assert result.energy[-1, 0] < 2e-3 * result.energy[0, 0]
         starts = np.arange(0.0, np.quantile(x, 0.98), 0.02)
         surface = [np.quantile(z[(x >= left) & (x < left + 0.02)], 0.95) for left in starts]
         slopes.append(-np.polyfit(starts, surface, 1)[0])

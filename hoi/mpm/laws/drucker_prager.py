@@ -3,9 +3,12 @@
     elastic as `hoi.mpm.hencky`
     abs(e) + (3 lambda + 2 mu)/(2 mu) alpha tr(eps) <= 0, else e shrinks; no tension
 
-alpha is sqrt(2/3) 2 sin(phi) / (3 - sin(phi)) for the friction angle phi. Klar et al. 2016, Drucker-Prager
-Elastoplasticity for Sand Animation, with its volume correction: the volume that grains gained while apart, which is
-what is left behind by the flow, is lost again before they press.
+alpha is sqrt(2)/3 sin(phi) for the friction angle phi, so that sqrt(J_2) = sin(phi) p: as strong as Mohr and Coulomb's
+material in plane strain and in simple shear at constant volume, which is how heaps slide and columns spread (Chen and
+Mizuno 1990, Nonlinear Analysis in Soil Mechanics). The cone through the corners of triaxial compression, usual in
+computer graphics, is 1.4 times as strong there: grains of 33 degrees then stand as if of 50. Klar et al. 2016,
+Drucker-Prager Elastoplasticity for Sand Animation, with its volume correction: the volume that grains gained while
+apart, which is what is left behind by the flow, is lost again before they press.
 """
 
 import math
@@ -14,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hoi.data import Array, Material
-from hoi.mpm.hencky import energy_density, flow, kirchhoff_stress, trial_strain
+from hoi.mpm.hencky import crushed, energy_density, flow, kirchhoff_stress, trial_strain
 from hoi.mpm.law import LAM, MU, Kernels, Law, lame
 from hoi.mpm.tensors import composed
 
@@ -30,7 +33,7 @@ class Parameters(NamedTuple):
 
 def parameters(material: Material) -> Parameters:
     sine = math.sin(material.friction_angle)
-    return Parameters(*lame(material), friction=math.sqrt(2 / 3) * 2 * sine / (3 - sine))
+    return Parameters(*lame(material), friction=math.sqrt(2) / 3 * sine)
 
 
 def return_map(p: Parameters, trial: Array, hardening: Array, dt: float) -> tuple[Array, Array]:
@@ -64,6 +67,6 @@ def kernels() -> Kernels:
 
 
 LAW = Law(
-    energy_density, kirchhoff_stress, kernels, return_map, parameters,
-    uses=frozenset({"friction_angle"}), rigid=False, order=5,
+    energy_density, kirchhoff_stress, kernels, return_map, parameters, clamped=crushed,
+    uses=frozenset({"friction_angle"}), rigid=False, seeps=True, order=5,
 )  # fmt: skip

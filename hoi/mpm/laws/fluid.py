@@ -1,8 +1,10 @@
 """A weakly compressible fluid: water.
 
-    psi = K/g (J^(1-g)/(g-1) + J - g/(g-1)), g = 7
-    tau = -J p I + 2 eta J dev(sym C), p = K/g (J^-g - 1)
+    psi = K/g (J^(1-g)/(g-1) + J - g/(g-1)) for J <= 1, else 0, g = 7
+    tau = -J p I + 2 eta J dev(sym C), p = max(K/g (J^-g - 1), 0)
     F = J^(1/3) I, J >= 0.5
+
+It bears no tension: drops come off a surface freely, and the volume gained there is lost again before they press.
 
 K is lambda, eta the viscosity, C the velocity gradient. Tampubolon et al. 2017, Multi-species Simulation of Porous Sand
 and Water Mixtures, with Newtonian viscosity. Stiffness: B_c = J^2 psi''(J) = K J^(1 - g). Viscosity limits the step
@@ -38,7 +40,7 @@ def parameters(material: Material) -> Parameters:
 
 
 def energy_density(p: Parameters, f: Array, hardening: Array) -> Array:
-    j = np.linalg.det(f)
+    j = np.minimum(np.linalg.det(f), 1.0)
     return p.lam / GAMMA * ((j ** (1 - GAMMA) - GAMMA) / (GAMMA - 1) + j)
 
 
@@ -46,7 +48,7 @@ def kirchhoff_stress(p: Parameters, f: Array, velocity_gradient: Array, hardenin
     j = np.linalg.det(f)
     rate = 0.5 * (velocity_gradient + transposed(velocity_gradient))
     rate = rate - scaled(np.trace(rate, axis1=-2, axis2=-1) / 3)
-    return scaled(-j * p.lam / GAMMA * (j**-GAMMA - 1.0)) + 2 * p.viscosity * j[..., None, None] * rate
+    return scaled(-j * p.lam / GAMMA * np.maximum(j**-GAMMA - 1.0, 0.0)) + 2 * p.viscosity * j[..., None, None] * rate
 
 
 def return_map(p: Parameters, trial: Array, hardening: Array, dt: float) -> tuple[Array, Array]:
@@ -60,7 +62,7 @@ def kernels() -> Kernels:
     @ti.func
     def stress(f, j, c, p, hardening, tolerance):
         inverse = 1.0 / j
-        pressure = p[LAM] / GAMMA * (inverse**GAMMA - 1.0)
+        pressure = p[LAM] / GAMMA * ti.max(inverse**GAMMA - 1.0, 0.0)
         rate = c + c.transpose() - 2.0 / 3.0 * c.trace() * identity()
         return p[VISCOSITY] * j * rate - j * pressure * identity()
 
@@ -78,7 +80,11 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness, returned)
 
 
+def clamped(p: Parameters, f: Array, hardening: Array) -> Array:
+    return np.linalg.det(f) <= LEAST_VOLUME * (1 + 1e-5)
+
+
 LAW = Law(
-    energy_density, kirchhoff_stress, kernels, return_map, parameters,
-    uses=frozenset({"viscosity"}), rigid=False, shears=False, viscous=True, order=7,
+    energy_density, kirchhoff_stress, kernels, return_map, parameters, clamped=clamped,
+    uses=frozenset({"viscosity"}), rigid=False, shears=False, seeps=True, viscous=True, order=7,
 )  # fmt: skip

@@ -100,7 +100,11 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness, returned)
 
 
+def clamped(p: Parameters, f: Array, hardening: Array) -> Array:
+    return abs(p.xi * np.expm1(hardening)) >= MOST_HARDENED
+
+
 LAW = Law(
-    energy_density, kirchhoff_stress, kernels, return_map, parameters,
+    energy_density, kirchhoff_stress, kernels, return_map, parameters, clamped=clamped,
     uses=frozenset({"hardening", "critical_compression", "critical_stretch"}), keeps_total=True, rigid=False, order=6,
 )  # fmt: skip

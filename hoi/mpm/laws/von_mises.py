@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hoi.data import Array, Material
-from hoi.mpm.hencky import energy_density, flow, kirchhoff_stress, trial_strain
+from hoi.mpm.hencky import crushed, energy_density, flow, kirchhoff_stress, trial_strain
 from hoi.mpm.law import MU, Kernels, Law, lame
 from hoi.mpm.tensors import composed
 
@@ -66,6 +66,6 @@ def kernels() -> Kernels:
 
 
 LAW = Law(
-    energy_density, kirchhoff_stress, kernels, return_map, parameters,
+    energy_density, kirchhoff_stress, kernels, return_map, parameters, clamped=crushed,
     uses=frozenset({"yield_stress", "hardening"}), keeps_total=True, springs=True, order=3,
 )  # fmt: skip

@@ -16,7 +16,7 @@ from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config
-    from hoi.data import Material, ObjectState, Scene
+    from hoi.data import Material, ObjectState, Scene, SceneObject
     from hoi.method.object_motion import Advanced, Mover, World
     from hoi.mpm.collider import Collider, Partner
     from hoi.mpm.phases import Tally
@@ -31,6 +31,14 @@ class Precision(StrEnum):
 class Spline(StrEnum):
     quadratic = "quadratic"
     cubic = "cubic"
+
+
+CRUSHED = "singular values of F at least 0.1 where it is crushed"
+BOUNDS = {
+    "fluid": "J at least 0.5", "snow": "hardening by 0.1 to 10", "von_mises": CRUSHED, "viscoplastic": CRUSHED,
+    "drucker_prager": CRUSHED,
+}  # fmt: skip
+"""Of the method's, not the material's, by law."""
 
 
 @option("stage/object", "mpm")
@@ -115,6 +123,9 @@ class MPM(ObjectMover):
         draft.check("damping", *self._damping(materials, rebound))
         draft.check("resolution", f"{config.object.size / dx:.1f}", f"cells of {dx:.3g} m across the object")
         draft.check("steps", f"{steps:.0f}", "for the whole scene")
+        bounds = sorted({name for m in materials if (name := BOUNDS.get(m.model))})
+        if bounds:
+            draft.check("bounds", "counted", f"{'; '.join(bounds)}: the record says how many particles met them")
         draft.check("phases", *self._phases({material.model for material in materials}))
 
     def _damping(self, materials: Sequence[Material], rebound: Sequence[float]) -> tuple[str, str]:
@@ -163,6 +174,7 @@ def advance(
     import numpy as np
 
     from hoi.method.object_motion import Advanced
+    from hoi.mpm.boundary import plane_depth
     from hoi.mpm.collider import Collider
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
@@ -197,7 +209,7 @@ def advance(
     rebound = [rebound_of(material, size / dx) if conf.damping else 1.0 for material in thing.materials]
     softest = min(damping(share).least for share in rebound)
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
-    reaches = [reach_of(plane, dx, width) for plane in planes]
+    reaches = [reach_of(plane, dx, width, plane_depth(thing.materials)) for plane in planes]
     whole = all(LAWS[material.model].rigid for material in thing.materials)
     walk = Walk(
         state,
@@ -224,11 +236,28 @@ def advance(
         stage.advance()
     tally = walk.finish()
     _count(stage.numbers, tally)
+    at_bounds = max(_clamped(thing, reached) for reached in states)
+    stage.numbers["clamped"] = max(stage.numbers.get("clamped", 0.0), at_bounds)
     energy = [walk.simulation.energies(reached) for reached in states]
     pushed = None
     if tally.push_end > tally.push_start:
         pushed = start + tally.push_start * scene.fps, start + tally.push_end * scene.fps
     return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), tally.collider_impulse, pushed)
+
+
+def _clamped(thing: SceneObject, state: ObjectState) -> float:
+    """How many particles are at a bound of the method's; see `hoi.mpm.materials.clamped`."""
+    import numpy as np
+
+    from hoi.mpm.materials import clamped
+
+    f = state.deformation_gradient if state.elastic is None else state.elastic
+    hardening = np.zeros(len(f)) if state.hardening is None else state.hardening
+    return float(sum(
+        clamped(material, f[own], hardening[own]).sum()
+        for index, material in enumerate(thing.materials)
+        for own in [slice(None) if thing.region is None else thing.region == index]
+    ))  # fmt: skip
 
 
 def _count(numbers: dict[str, float], tally: Tally) -> None:
