@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
-from hoi.body.segments import segment_distances
+from hoi.body.segments import nearest_on_segment, segment_distances
 from hoi.data import Array, Body
 
 TOLERANCE = 0.015
@@ -23,7 +23,7 @@ ROUNDS = 5
 """Of sharing the Gaussians out to several capsules and fitting those again."""
 FEWEST = 12
 """Gaussians a capsule is fitted to."""
-ENOUGH = 500
+ENOUGH = 250
 """Gaussians of a joint that the fit looks at."""
 
 
@@ -70,12 +70,17 @@ def fit_capsule(points: Array) -> tuple[Array, Array, float]:
     def residuals(p: Array) -> Array:
         return segment_distances(local, p[None, :3], p[None, 3:6])[:, 0] - p[6]
 
+    def slopes(p: Array) -> Array:
+        share, away = nearest_on_segment(local, p[:3], p[3:6])
+        out = away / np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None]
+        return np.hstack([(share - 1)[:, None] * out, -share[:, None] * out, np.full((len(local), 1), -1.0)])
+
     fits = []
     for axis, extent in enumerate(half):
         reach = np.zeros(3)
         reach[axis] = max(extent - thickest, 0.1 * extent)
         first = np.concatenate([middle - reach, middle + reach, [thickest]])
-        fits.append(least_squares(residuals, first, bounds=bounds, loss="soft_l1", f_scale=NOISE, max_nfev=60))
+        fits.append(least_squares(residuals, first, slopes, bounds, loss="soft_l1", f_scale=NOISE, max_nfev=60))
     best = min(fits, key=lambda fit: fit.cost).x
     return axes @ best[:3] + centre, axes @ best[3:6] + centre, float(best[6])
 

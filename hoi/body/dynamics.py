@@ -35,8 +35,8 @@ after Holzbaur et al. (2007), neck after Vasavada, Li and Delp (2001), rounded; 
 hips and shoulders need."""
 SOLE_FRICTION = 0.8
 """Coulomb coefficient of a shoe on a dry floor [-]."""
-HALF_FOOT = 0.1
-"""How far beyond the ankles and toe joints of a stance the ground can push up [m]."""
+STEP = 0.4
+"""How far from its stance a person puts a foot to keep its balance: there the ground can push up too [m]."""
 LONGEST_STEP = 0.001
 """Of the person [s]."""
 WHIPPED = 50.0
@@ -316,5 +316,5 @@ def _grounds(joints: Array, standing: Array) -> list[Ground | None]:
             continue
         centre = 0.5 * (down.min(axis=0) + down.max(axis=0)) * [1, 1, 0]
         reach = np.linalg.norm((down - centre)[:, :2], axis=1).max()
-        grounds.append(Ground(centre, HALF_FOOT + float(reach)))
+        grounds.append(Ground(centre, STEP + float(reach)))
     return grounds

@@ -19,6 +19,8 @@ from hoi.mpm.collider import Collider
 
 NEAR = 0.1
 """A limb that comes this near to where the object would be, box to box, may push it too [m]."""
+NEAR_IN_ANSWER = 0.4
+"""The same for a person who gives way, and goes where it was not told to [m]."""
 
 
 def limb_collider(
@@ -39,7 +41,7 @@ def limb_collider(
     Raises:
         RunError: the striking limb is in the object from the first frame on.
     """
-    ready = ready_to_push(scene, motion, free, contact, samples, near_only=True)
+    ready = ready_to_push(scene, motion, free, contact, samples, NEAR)
     starts, ends = carry(ready.capsules, np.asarray(scene.body.rest_joints, np.float64), *ready.frames_from)
     return Collider(ready.times, starts, ends, ready.radii, friction), ready.notes
 
@@ -58,9 +60,9 @@ class Ready:
 
 
 def ready_to_push(
-    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, samples: int, near_only: bool
+    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, samples: int, near: float
 ) -> Ready:
-    """The striking limb's capsules, and those of the other limbs and the trunk, all of them or the ones that come near.
+    """The striking limb's capsules, and those of what else of the person comes `near` [m] to the object.
 
     A limb other than the one that strikes pushes only if it is outside the object by then too. No capsule is thinner
     than the object's Gaussians are apart: it would slip in between them.
@@ -83,7 +85,7 @@ def ready_to_push(
             f"({struck_with(contact)})"
         )
     notes = []
-    for chain in _near(scene, motion, free, int(frames[first])) if near_only else CHAINS:
+    for chain in _near(scene, motion, free, int(frames[first]), near):
         if chain == striker:
             continue
         limb = fit_capsules(scene.body, CHAINS[chain])
@@ -118,7 +120,7 @@ def outside(points: Array, starts: Array, ends: Array, radii: Array) -> bool:
     return bool((segment_distances(near, starts, ends) >= radii).all())
 
 
-def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> list[str]:
+def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int, near: float) -> list[str]:
     """The chains with a joint whose Gaussians' box comes near the object's at a whole frame from `first` on."""
     limbs = Limbs(scene.body, motion)
     low, high = (bound(free.positions[first:], axis=1) for bound in (np.min, np.max))
@@ -126,6 +128,6 @@ def _near(scene: Scene, motion: Motion, free: ObjectTrajectory, first: int) -> l
     def comes_near(joint: int) -> bool:
         points = limbs.at_frames[joint][first:]
         apart = np.maximum(points.min(axis=1) - high, low - points.max(axis=1)).max(axis=1)
-        return bool((apart <= NEAR).any())
+        return bool((apart <= near).any())
 
     return [chain for chain, joints in CHAINS.items() if any(comes_near(j) for j in joints if j in limbs.joints)]

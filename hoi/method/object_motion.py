@@ -1,13 +1,13 @@
 """The object alone (paper, Object Motion Simulation): what a mover is, and its walk from t = 0 to T."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Scene, SceneObject
-from hoi.mpm.collider import Collider, Partner
+from hoi.mpm.collider import Collider, Partner, Push
 from hoi.mpm.state import centre_of_mass, initial_state
 from hoi.reports import Stage
 
@@ -21,10 +21,8 @@ class Advanced:
     """Kinetic, elastic, potential [J], (K, 3)."""
     phase: tuple[str, ...]
     """What moved the object to each of the frames."""
-    impulse: Array = field(default_factory=lambda: np.zeros(3))
-    """What the collider gave the object [N s], shape (3,)."""
-    pushed: tuple[float, float] | None = None
-    """The first and last frame at which it gave any."""
+    pushes: tuple[Push, ...] = ()
+    """What the collider gave the object, at times of the scene."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hoi.body.dynamics import Person
-from hoi.body.limb_collider import ready_to_push
+from hoi.body.limb_collider import NEAR_IN_ANSWER, ready_to_push
 from hoi.body.pushing import Pushing
 from hoi.data import Contact, Motion, ObjectTrajectory, Scene
 from hoi.reports import Stage
@@ -42,7 +42,7 @@ def pushing(
     """The person from the last moment at which the striking limb is outside the object, its limbs and trunk as capsules
     that take the opposite of what they give; arguments, notes and errors as of `hoi.body.limb_collider.limb_collider`.
     """
-    ready = ready_to_push(scene, motion, free, contact, samples, near_only=False)
+    ready = ready_to_push(scene, motion, free, contact, samples, NEAR_IN_ANSWER)
     person = person_at(scene, motion, float(ready.times[0]), muscles)
     return Pushing(person, ready.capsules, ready.radii, friction), ready.notes
 
@@ -82,7 +82,6 @@ def pushed_back(
 ) -> tuple[Motion, Contact]:
     """The motion after a push that the person took part in, and the contact with the mass that the object met."""
     person = pushing.person
-    stage.numbers["momentum_error"] = float(np.linalg.norm(pushing.given - contact.impulse))
     struck = person_at(scene, motion, contact.frame / scene.fps, muscles)
     limb = 1 / struck.inverse_mass(contact.joint, contact.point, contact.normal)
     return _made(person, stage), replace(contact, limb_mass=limb)

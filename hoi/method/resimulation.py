@@ -62,18 +62,23 @@ def push_by(
     """The object pushed by the collider from frame `start` on; before, it stays as in `free`.
 
     Returns:
-        the trajectory, and the contact with the impulse and the duration that came of it.
+        the trajectory, and the contact with the impulse and the duration of the push that it began.
     """
     frames = [float(frame) for frame in range(scene.frames) if frame > start]
     state = _state_at(scene, free, states, start, move, stage)
     after = move(scene, state, start, frames, stage, collider)
-    first, last = after.pushed or (contact.frame, contact.frame)
-    stage.numbers.update(impulse=float(np.linalg.norm(after.impulse)), pushed_from=first, pushed_until=last)
-    if after.pushed is None:
-        stage.notes.append("the limb's capsules passed the object without touching it")
     trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
+    if not after.pushes:
+        stage.notes.append("the limb's capsules passed the object without touching it")
+        return trajectory, contact
+    given = sum(push.impulse for push in after.pushes)
+    strike = min(after.pushes, key=lambda push: abs(push.start * scene.fps - contact.frame))
+    first, last = strike.start * scene.fps, strike.end * scene.fps
+    stage.numbers.update(
+        impulse=float(np.linalg.norm(given)), pushes=len(after.pushes), pushed_from=first, pushed_until=last
+    )
     v_post = at_frame(trajectory.com_velocity, float(np.ceil(last)))
-    return trajectory, replace(contact, impulse=after.impulse, v_post=v_post, duration=(last - first) / scene.fps)
+    return trajectory, replace(contact, impulse=strike.impulse, v_post=v_post, duration=strike.end - strike.start)
 
 
 def _state_at(

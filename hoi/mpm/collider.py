@@ -1,5 +1,6 @@
 """Moving obstacles in the grid: capsules that stand for the limbs of a person."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +25,32 @@ class Collider:
     """[m], shape (J,)."""
     friction: float
     """Coulomb coefficient against the object [-]."""
+
+
+PAUSE = 0.02
+"""Pushes further apart in time are two [s]."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """What a collider gave the object while they stayed in touch."""
+
+    start: float
+    end: float
+    """[s]"""
+    impulse: Array
+    """[N s], (3,)."""
+
+
+def joined(pushes: Iterable[Push], offset: float = 0.0) -> list[Push]:
+    """Pushes in the order of time, `offset` [s] later, those that hardly pause taken as one."""
+    found: list[Push] = []
+    for push in pushes:
+        push = Push(push.start + offset, push.end + offset, push.impulse)
+        if found and push.start - found[-1].end <= PAUSE:
+            push = Push(found[-1].start, push.end, found.pop().impulse + push.impulse)
+        found.append(push)
+    return found
 
 
 class Partner(Protocol):

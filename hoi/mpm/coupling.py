@@ -22,7 +22,6 @@ from hoi.compute import ti
 from hoi.data import Array
 from hoi.mpm.boundary import hold_to_capsule, nearest_capsule
 from hoi.mpm.collider import Partner
-from hoi.mpm.kernels import add
 
 CLUSTER = 5
 """Rows of four that describe a cluster: mass and first moment; momentum; angular momentum; second moments xx, yy, zz;
@@ -47,9 +46,7 @@ class Coupling:
         apart = np.maximum(ends.min(axis=1) - radii - high, low - ends.max(axis=1) - radii).max(axis=1)
         chosen = np.flatnonzero(apart < reach)
         if len(chosen) != len(self._chosen):
-            self.capsules, self._clusters, self._taken = (
-                ti.Vector.ndarray(4, self._real, rows * max(len(chosen), 1)) for rows in (4, CLUSTER, 2)
-            )
+            self.capsules = ti.Vector.ndarray(4, self._real, 4 * max(len(chosen), 1))
         self._chosen = chosen
         return len(chosen) > 0
 
@@ -66,18 +63,16 @@ class Coupling:
     ) -> None:
         """Between the halves of a step: partner and object push each other. `origin` is the window's [m], (3,)."""
         partner, where = self.partner, (dt, dx, gravity, shape)
-        self._clusters.fill(0.0)
-        meet(copies, self._on_gpu, grid, touched, self.capsules, self._clusters, *where)
-        rows = self._clusters.to_numpy().astype(np.float64).reshape(-1, CLUSTER, 4)
-        mass = rows[:, 0, 0]
-        if mass.any():
+        clusters, taken = (np.zeros((rows * len(self._chosen), 4), self._kind) for rows in (CLUSTER, 2))
+        meet(copies, self._on_gpu, grid, touched, self.capsules, clusters, *where)
+        if clusters.any():
+            rows = clusters.astype(np.float64).reshape(-1, CLUSTER, 4)
             partner.meet(self._chosen, *_about_world(rows, origin))
             self.place(origin)
-        self._taken.fill(0.0)
-        push(copies, self._on_gpu, grid, touched, self.capsules, self._taken, *where)
+        push(copies, self._on_gpu, grid, touched, self.capsules, taken, *where)
         partner.ends = partner.ends + dt * partner.velocities
-        linear, angular = self._taken.to_numpy().astype(np.float64).reshape(-1, 2, 4)[:, :, :3].swapaxes(0, 1)
-        if linear.any():
+        if taken.any():
+            linear, angular = taken.astype(np.float64).reshape(-1, 2, 4)[:, :, :3].swapaxes(0, 1)
             partner.take(self._chosen, linear, angular + np.cross(origin, linear))
             self.given = self.given + linear.sum(axis=0)
 
@@ -109,6 +104,15 @@ def node_of(node, nodes, copies, grid: ti.template(), dt, dx, gravity: ti.templa
         ti.cast(node // layer, float), ti.cast(node % layer // shape[2], float), ti.cast(node % shape[2], float), 0.0,
     ])  # fmt: skip
     return velocity, mass, place
+
+
+@ti.func
+def add(rows: ti.template(), row, contribution, atomic: ti.template()):
+    for a in ti.static(range(4)):
+        if ti.static(atomic):
+            ti.atomic_add(rows[row, a], contribution[a])
+        else:
+            rows[row, a] = rows[row, a] + contribution[a]
 
 
 @ti.func

@@ -28,7 +28,7 @@ import numpy as np
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.mpm import rigid
 from hoi.mpm.boundary import PLANE_DEPTH
-from hoi.mpm.collider import Collider, Partner
+from hoi.mpm.collider import Collider, Partner, Push, joined
 from hoi.mpm.materials import lame_parameters
 from hoi.mpm.solver import Simulation
 
@@ -90,11 +90,8 @@ class Tally:
     dt_least: float = math.inf
     dt_most: float = 0.0
     compile_seconds: float = 0.0
-    collider_impulse: Array = field(default_factory=lambda: np.zeros(3))
-    """Given to the object by the collider [N s], shape (3,)."""
-    push_start: float = math.inf
-    push_end: float = -math.inf
-    """The first and last time of the walk at which it gave any [s]."""
+    pushes: list[Push] = field(default_factory=list)
+    """What the collider gave, at times of the walk."""
 
     def add(self, simulation: Simulation, began: float) -> None:
         """Counts a simulation that is over; `began` is the time of the walk at which it started [s]."""
@@ -103,9 +100,7 @@ class Tally:
         self.dt_least = min(self.dt_least, simulation.dt_least)
         self.dt_most = max(self.dt_most, simulation.dt_most)
         self.compile_seconds += simulation.compile_seconds
-        self.collider_impulse = self.collider_impulse + simulation.collider_impulse
-        self.push_start = min(self.push_start, began + simulation.push_start)
-        self.push_end = max(self.push_end, began + simulation.push_end)
+        self.pushes = joined([*self.pushes, *joined(simulation.pushes, began)])
 
     @property
     def steps_left_out(self) -> float:

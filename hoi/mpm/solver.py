@@ -13,7 +13,7 @@ from hoi.compute import Device, Precision, start_compiler, ti
 from hoi.data import Array, Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
 from hoi.mpm import boundary, kernels
-from hoi.mpm.collider import Collider, Partner
+from hoi.mpm.collider import Collider, Partner, Push, joined
 from hoi.mpm.coupling import Coupling
 from hoi.mpm.damping import Damping, damping
 from hoi.mpm.law import PARAMETERS
@@ -156,8 +156,7 @@ class Simulation:
         threads: CPU threads.
         device: "cpu" or "cuda".
 
-    `collider_impulse` (3,) [N s] is what the collider gave the object so far, `push_start` and `push_end` are the first
-    and last time at which it gave any [s], to `STEPS_A_LOOK` steps.
+    `collider_impulse` (3,) [N s] is what the collider gave the object so far, `pushes` when, to `STEPS_A_LOOK` steps.
 
     Raises:
         InputError: a value that cannot be simulated, or a `dt` above the stability limit.
@@ -209,7 +208,7 @@ class Simulation:
         self.collider_impulse = np.zeros(3)
         self.looked_at = -1
         """The step at which `seen_last` was true."""
-        self.push_start, self.push_end = math.inf, -math.inf
+        self.pushes: list[Push] = []
 
         started = time.perf_counter()
         start_compiler(precision, threads, device)
@@ -311,7 +310,7 @@ class Simulation:
         self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
         began, self.time = self.time, until if done == steps else until - (steps - done) * dt
         if (self.collider_impulse != given).any():
-            self.push_start, self.push_end = min(self.push_start, began), self.time
+            self.pushes = joined([*self.pushes, Push(began, self.time, self.collider_impulse - given)])
 
     def time_step(self) -> float:
         """The longest step that it would take now [s]: `dt`, or `fraction` of the limit."""
@@ -462,13 +461,11 @@ class Simulation:
                         copies,
                         dt,
                         self.dx,
-                        _vector(self.gravity),
+                        numbers[0],
                         numbers[-1],
                         origin * self.dx,
                     )
                 kernels.end_step(*how, *arrays, *numbers)
-                if coupled and self.status.to_numpy()[kernels.STOP]:
-                    break
         if coupled:
             self.collider_impulse, self.coupling.given = self.collider_impulse + self.coupling.given, np.zeros(3)
         elif near:

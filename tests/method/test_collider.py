@@ -138,14 +138,16 @@ def test_a_capsule_of_any_thickness_drives_the_ball_away(radius):
     collider = moving_capsule([0, -reach - 0.01, 0], [0, 5, 0], 0.05, radius)
     points, volumes = ball()
     run, state, masses = strike(collider, 0.0019, points, volumes)  # 0.1 mm before it arrives
-    assert np.abs(state.velocities).max() == 0 and run.push_start == np.inf
+    assert np.abs(state.velocities).max() == 0 and run.pushes == []
     run.advance(0.05)
     state = run.state()
     np.testing.assert_allclose(momentum(state, masses), run.collider_impulse, rtol=0.01, atol=1e-6)
     velocity = momentum(state, masses) / masses.sum()
     assert 1.6 * 5 < velocity[1] < 2.0 * 5  # a heavy limb, an elastic ball: twice its speed, less what vibrates
     assert np.abs(velocity[[0, 2]]).max() < 0.01 * velocity[1]
-    assert 0.001 < run.push_start + 0.001 < run.push_end < 0.03
+    (push,) = run.pushes
+    assert 0.001 < push.start + 0.001 < push.end < 0.03
+    np.testing.assert_allclose(push.impulse, run.collider_impulse)
     starts, ends = collider.starts[-1], collider.ends[-1]
     assert outside(state.positions, starts, ends, collider.radii)
 
@@ -209,7 +211,7 @@ def test_a_slow_push_carries_the_object_along_for_as_long_as_it_lasts():
     moved = masses @ state.positions / masses.sum() - before
     assert moved[1] / 0.29 == pytest.approx(0.3, rel=0.03)
     assert momentum(state, masses)[1] / masses.sum() == pytest.approx(0.3, rel=0.15)
-    assert run.push_start < 0.1 and run.push_end > 0.55
+    assert run.pushes[0].start < 0.1 and run.pushes[-1].end > 0.55
     # At a steady speed what the hand gives is what friction with the ground takes.
     braked = (run.collider_impulse - given)[1]
     assert braked == pytest.approx(0.2 * masses.sum() * 9.81 * 0.29, rel=0.15)

@@ -175,7 +175,7 @@ def advance(
 
     from hoi.method.object_motion import Advanced
     from hoi.mpm.boundary import plane_depth
-    from hoi.mpm.collider import Collider
+    from hoi.mpm.collider import Collider, joined
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.solver import Simulation
@@ -239,10 +239,8 @@ def advance(
     at_bounds = max(_clamped(thing, reached) for reached in states)
     stage.numbers["clamped"] = max(stage.numbers.get("clamped", 0.0), at_bounds)
     energy = [walk.simulation.energies(reached) for reached in states]
-    pushed = None
-    if tally.push_end > tally.push_start:
-        pushed = start + tally.push_start * scene.fps, start + tally.push_end * scene.fps
-    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), tally.collider_impulse, pushed)
+    pushes = tuple(joined(tally.pushes, start / scene.fps))
+    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), pushes)
 
 
 def _clamped(thing: SceneObject, state: ObjectState) -> float:
