@@ -120,6 +120,7 @@ class _Trial:
             self.volumes,
             self.materials,
             region=self.region,
+            rebound=[self.case.rebound] * len(self.materials),
             dx=self.case.dx,
             dt=self.dt,
             gravity=self.gravity,
