@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hoi.api import compose
+from hoi.config.compose import config_of
 from hoi.data import Array, Material, Plane
 from hoi.method.object_motion import World, free_motion
 from hoi.mpm.damping import rebound_of
@@ -54,7 +54,7 @@ def drop(
         cells: of the grid, across it.
         restitution: another than its material's. changes: other fields of the material.
     """
-    config = compose(f"object={name}", f"stage.object.cells_across={cells}")
+    config = config_of(f"object={name}", f"stage.object.cells_across={cells}")
     material = material_of(config.material)
     material = replace(material, **changes, **({} if restitution is None else {"restitution": restitution}))
     size = config.object.size
@@ -133,7 +133,7 @@ def sand_column(aspect: float = 1.0, *, cells: int = 8) -> float:
     r_end holds all but a thousandth of the sand.
     """
     radius = 0.1
-    sand = material_of(compose("material=sand").material)
+    sand = material_of(config_of("material=sand").material)
     spacing = radius / cells / 2
     across = (np.arange(4 * cells) + 0.5) * spacing - radius
     up = (np.arange(round(2 * cells * aspect)) + 0.5) * spacing

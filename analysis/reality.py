@@ -61,7 +61,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     axes.axvline(1.0, color="#97a0ab", linewidth=0.8)
     axes.set_yticks(list(places), table["experiment"])
     axes.set_xlabel("over the middle of the published range")
-    axes.legend(loc="lower left", frameon=False)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.12), ncols=2, frameon=False)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
