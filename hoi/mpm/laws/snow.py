@@ -101,7 +101,7 @@ def kernels() -> Kernels:
 
 
 def clamped(p: Parameters, f: Array, hardening: Array) -> Array:
-    return abs(p.xi * np.expm1(hardening)) >= MOST_HARDENED
+    return np.asarray(abs(p.xi * np.expm1(hardening)) >= MOST_HARDENED)
 
 
 LAW = Law(
