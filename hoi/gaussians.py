@@ -321,6 +321,12 @@ def rotation_matrices(cloud: GaussianCloud) -> Array:
     return Rotation.from_quat(cloud.quaternions, scalar_first=True).as_matrix()
 
 
+def areas(cloud: GaussianCloud) -> Array:
+    """What each Gaussian shows of a surface, in float64: opacity times the ellipse of its two long axes, (N,) [m^2]."""
+    sizes = np.sort(cloud.scales.astype(np.float64), axis=1)
+    return cloud.opacities * np.pi * sizes[:, 1] * sizes[:, 2]
+
+
 def covariances(cloud: GaussianCloud) -> Array:
     """Sigma = R diag(scales^2) R^T [m^2], (N, 3, 3)."""
     root = rotation_matrices(cloud) * cloud.scales[:, None, :]

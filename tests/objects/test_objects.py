@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bodies import cloud_of
+from captures import join
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -23,11 +24,6 @@ def shell(radius: float = 0.5, count: int = 4000) -> GaussianCloud:
     normals = gaussians.fibonacci_sphere(count)
     spacing = radius * (4 * np.pi / count) ** 0.5
     return cloud_of(radius * normals, 0.4 * spacing)
-
-
-def join(*clouds: GaussianCloud) -> GaussianCloud:
-    names = ("means", "quaternions", "scales", "opacities", "sh")
-    return GaussianCloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
 
 
 def inertia(particles: Array, masses: Array) -> Array:
@@ -171,26 +167,6 @@ def test_spacing_that_does_not_fit_is_refused() -> None:
 
 
 # --- captures --------------------------------------------------------------------------------------------------------
-
-
-def test_cleaning_removes_haze_floaters_and_giants() -> None:
-    ball = shell()
-    rng = np.random.default_rng(0)
-    haze = replace(gaussians.select(ball, np.arange(300)), opacities=np.full(300, 0.01, np.float32))
-    dust = gaussians.select(ball, np.arange(40))
-    dust = replace(dust, means=rng.uniform(-20, 20, (40, 3)).astype(np.float32))
-    clump = gaussians.transform(gaussians.select(ball, np.arange(60)), np.eye(3), 0.1, [2, 0, 0])
-    giant = replace(ball, scales=np.where(np.arange(len(ball))[:, None] < 7, np.float32(3), ball.scales))
-    cloud, notes = cleaning.clean(join(giant, haze, dust, clump))
-    np.testing.assert_array_equal(cloud.means, ball.means)
-    assert cloud.scales.max() <= 0.05
-    assert [note.split(" Gaussians")[0] for note in notes] == ["removed 300", "removed 100 floating", "shrank 7"]
-
-
-def test_cleaning_leaves_a_clean_cloud_alone() -> None:
-    cloud, notes = cleaning.clean(shell())
-    np.testing.assert_array_equal(cloud.means, shell().means)
-    assert notes == []
 
 
 def test_haze_alone_is_no_object(tmp_path: Path) -> None:
