@@ -12,6 +12,7 @@ from hoi.errors import InputError, about
 from hoi.gaussians import load_clean, transform
 from hoi.objects import cleaning, shapes
 from hoi.objects.filling import Filling, fill_cloud, fill_mesh
+from hoi.objects.thinning import sample, thin
 
 MAX_GAUSSIANS = 60_000
 
@@ -62,7 +63,7 @@ def load_builtin(
     size = max(kind.extent) if size is None else size
     _check_lengths(size, spacing)
     surface = shapes.build(kind, size)
-    cloud, thinned = cleaning.thin(surface.cloud, max_gaussians)
+    cloud, thinned = sample(surface.cloud, max_gaussians)
     filling = fill_mesh(cloud.means.astype(np.float64), surface.vertices, surface.faces, spacing)
     return _assemble(shape, cloud, filling, size, thinned)
 
@@ -91,7 +92,7 @@ def load_file(
     cloud, notes = load_clean(path)
     with about(path):
         cloud, cleaned = cleaning.clean(cloud)
-    cloud, thinned = cleaning.thin(cloud, max_gaussians)
+    cloud, thinned = thin(cloud, max_gaussians)
     lower, upper = cloud.means.min(0).astype(np.float64), cloud.means.max(0).astype(np.float64)
     scale = size / (upper - lower).max()
     cloud = transform(cloud, UP[up], scale, -scale * UP[up] @ (lower + upper) / 2)
@@ -106,7 +107,7 @@ def load_cloud(name: str, cloud: GaussianCloud, spacing: float, max_gaussians: i
     """
     if len(cloud) == 0:
         raise InputError(f"object {name}: a cloud without Gaussians")
-    cloud, thinned = cleaning.thin(cloud, max_gaussians)
+    cloud, thinned = thin(cloud, max_gaussians)
     size = float(np.ptp(cloud.means, axis=0).max())
     _check_lengths(size, spacing)
     return _assemble(name, cloud, fill_cloud(cloud, spacing), size, thinned)

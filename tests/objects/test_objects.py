@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hoi import gaussians
 from hoi.data import Array, GaussianCloud, Material
 from hoi.errors import InputError
-from hoi.objects import cleaning, filling, load, shapes
+from hoi.objects import filling, load, shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "objects"
 WOOD = Material("wood", "neo_hookean", 1e6, 0.3, 400.0, 0.5, 0.5)
@@ -174,16 +174,6 @@ def test_haze_alone_is_no_object(tmp_path: Path) -> None:
     gaussians.write_splat(replace(ball, opacities=np.full(len(ball), 0.02, np.float32)), tmp_path / "haze.splat")
     with pytest.raises(InputError, match=r"haze\.splat: no solid object"):
         load.load_file(tmp_path / "haze.splat", 1.0, "+z", 0.05)
-
-
-def test_thinning_keeps_the_likeliest_and_the_covered_area() -> None:
-    ball = shell()
-    opacities = np.where(np.arange(len(ball)) % 2, 0.9, 0.06).astype(np.float32)
-    thinned, notes = cleaning.thin(replace(ball, opacities=opacities), 1000)
-    assert len(thinned) == 1000 and "4000" in notes[0] and "1000" in notes[0]
-    assert (thinned.opacities > 0.5).mean() > 0.85
-    area = (thinned.scales[:, :2].prod(1)).sum() / (ball.scales[:, :2].prod(1)).sum()
-    assert area == pytest.approx(1, rel=1e-3)
 
 
 @pytest.mark.parametrize("up", load.UP)
