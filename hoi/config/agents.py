@@ -65,11 +65,11 @@ class ObjectConf:
     shape: str | None = None
     """Which of the shapes in the package, for kind=builtin."""
     path: str | None = None
-    """3DGS file (.ply, .splat, .spz), for kind=file."""
+    """3DGS file (.ply, .splat, .ksplat, .spz, .sog, .glb), for kind=file."""
     size: float = MISSING
     """Largest extent [m]."""
     up: str = MISSING
-    """The file's up axis: +x, -x, +y, -y, +z or -z."""
+    """The file's up axis: +x, -x, +y, -y, +z or -z; auto takes what the file says, or else its format's way."""
     stable: bool = MISSING
     """Stays where it is when put on the ground: its motion at rest need not be simulated."""
     max_gaussians: int = MISSING

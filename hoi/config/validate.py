@@ -108,7 +108,7 @@ def validate(config: Config) -> list[str]:
     if config.object.kind is ObjectKind.file:
         require(config.object.path is not None, "object.path", config.object.path, "the path of a 3DGS file")
     require(config.object.size > 0, "object.size", config.object.size, "greater than 0 [m]")
-    axes = ("+x", "-x", "+y", "-y", "+z", "-z")
+    axes = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
     require(config.object.up in axes, "object.up", config.object.up, f"one of {', '.join(axes)}")
     require(config.object.max_gaussians >= 100, "object.max_gaussians", config.object.max_gaussians, "100 or more")
     materials = {"material": config.material}

@@ -204,7 +204,7 @@ def _neighbours(means: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     count = min(NEIGHBOURS, len(rows) - 1)
     if count < 1:
         return np.zeros((0, 2), np.intp), np.zeros(len(rows))
-    apart, found = KDTree(means[rows]).query(means[rows], count + 1, workers=-1)
+    apart, found = map(np.asarray, KDTree(means[rows]).query(means[rows], count + 1, workers=-1))
     return np.column_stack([np.repeat(rows, count), rows[found[:, 1:]].reshape(-1)]), apart[:, 1:].mean(1)
 
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from hoi.data import Array, GaussianCloud, Material, SceneObject
 from hoi.errors import InputError, about
-from hoi.gaussians import load_clean, transform
+from hoi.gaussians import transform
+from hoi.gaussians.files import load_file_clean
 from hoi.objects import cleaning, shapes
 from hoi.objects.filling import Filling, fill_cloud, fill_mesh
 from hoi.objects.thinning import sample, thin
@@ -25,6 +26,9 @@ UP = {
     "-x": np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]),
 }
 """A file's up axis -> the rotation that brings it to +z. The x axis stays where it is, unless it is the one."""
+
+AUTO = "auto"
+"""In place of an axis: what the file says."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,9 @@ def load_file(
     """A 3DGS object from a file, cleaned (see `hoi.objects.cleaning`).
 
     Args:
-        path: see `hoi.gaussians.read_gaussians`.
+        path: see `hoi.gaussians.read_file`.
         size: largest extent of the cleaned object [m]; files are not metric.
-        up: the file's up axis, a key of `UP`: "-y" for most captures and Trellis, "+z" for many exports.
+        up: the file's up axis, a key of `UP`, or "auto", which takes what the file or else its format says.
         spacing: distance between interior particles [m], about half a cell of the simulation's grid.
         max_gaussians: more than this are thinned.
 
@@ -84,14 +88,18 @@ def load_file(
         InputError: the file cannot be used, unknown up axis, size not positive, spacing that does not fit the size.
     """
     path = Path(path)
-    if up not in UP:
-        raise InputError(f"object up axis {up!r}: unknown; allowed are {', '.join(UP)}")
+    if up not in (AUTO, *UP):
+        raise InputError(f"object up axis {up!r}: unknown; allowed are {AUTO}, {', '.join(UP)}")
     if max_gaussians < 1:
         raise InputError(f"object max_gaussians {max_gaussians}: must be at least 1")
     _check_lengths(size, spacing)
-    cloud, notes = load_clean(path)
+    it = load_file_clean(path)
+    notes = list(it.notes)
+    if up == AUTO:
+        up = it.up
+        notes.append(f"up is {up}: {it.why}")
     with about(path):
-        cloud, cleaned = cleaning.clean(cloud)
+        cloud, cleaned = cleaning.clean(it.cloud)
     cloud, thinned = thin(cloud, max_gaussians)
     lower, upper = cloud.means.min(0).astype(np.float64), cloud.means.max(0).astype(np.float64)
     scale = size / (upper - lower).max()

@@ -1,0 +1,47 @@
+"""3D Gaussian clouds: their algebra (`cloud`), and the files they come in and go to, a module a format."""
+
+from hoi.gaussians.cloud import (
+    SH_C0,
+    areas,
+    colours,
+    covariances,
+    deform,
+    fibonacci_sphere,
+    higher_harmonics,
+    rotate_sh,
+    rotation_matrices,
+    select,
+    sh_basis,
+    sh_degree,
+    sh_from_colours,
+    transform,
+)
+from hoi.gaussians.files import load_clean, read_file, read_gaussians
+from hoi.gaussians.found import CloudFile
+from hoi.gaussians.ply import write_ply
+from hoi.gaussians.splat import write_splat
+from hoi.gaussians.spz import write_spz
+
+__all__ = [
+    "SH_C0",
+    "CloudFile",
+    "areas",
+    "colours",
+    "covariances",
+    "deform",
+    "fibonacci_sphere",
+    "higher_harmonics",
+    "load_clean",
+    "read_file",
+    "read_gaussians",
+    "rotate_sh",
+    "rotation_matrices",
+    "select",
+    "sh_basis",
+    "sh_degree",
+    "sh_from_colours",
+    "transform",
+    "write_ply",
+    "write_splat",
+    "write_spz",
+]
