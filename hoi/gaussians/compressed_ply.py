@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hoi.data import Array
 from hoi.errors import InputError
 from hoi.gaussians.cloud import SH_C0
-from hoi.gaussians.found import CloudFile, found
+from hoi.gaussians.found import CloudFile, brief, found
 from hoi.gaussians.ply import parsed, up_of
 
 CHUNK = 256
@@ -44,7 +44,7 @@ def read_compressed(data: bytes | memoryview, path: Path) -> CloudFile:
             else None
         )
     except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"broken compressed PLY: {' '.join(str(error).split())[:100]}") from None
+        raise InputError(f"broken compressed PLY: {brief(error)}") from None
     if -(-len(places) // CHUNK) != chunks.count:
         raise InputError(f"broken compressed PLY: {chunks.count} chunks for {len(places)} Gaussians, {CHUNK} each")
     chunk = np.arange(len(places)) // CHUNK

@@ -50,6 +50,11 @@ def found(
     return CloudFile(cloud_of(means, quaternions, scales, opacities, sh), up, why, notes)
 
 
+def brief(what: object) -> str:
+    """Anything a file says, or an error about it, in at most 80 printable characters of one line."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(str(what).split()))[:80]
+
+
 def check_claim(count: int, degree: int, packed: int, bytes_each: int) -> None:
     """Refuse a header that claims what a file of `packed` bytes cannot honestly hold.
 

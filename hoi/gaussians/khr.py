@@ -22,7 +22,7 @@ from hoi.data import Array, GaussianCloud, fields_of
 from hoi.errors import InputError
 from hoi.files import whole_file
 from hoi.gaussians.cloud import SH_C0, cloud_of, colours, deform, sh_degree
-from hoi.gaussians.found import CloudFile
+from hoi.gaussians.found import CloudFile, brief
 from hoi.gaussians.spz import read_spz
 
 NAME, PACKED = (
@@ -45,7 +45,7 @@ def read_khr(data: bytes | memoryview, path: Path) -> CloudFile:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError, struct.error) as error:
-        reason = f"{type(error).__name__} {' '.join(str(error).split())[:100]}"
+        reason = f"{type(error).__name__} {brief(error)}"
         raise InputError(f"broken glTF, not well formed ({reason})") from None
     if not clouds:
         raise InputError(f"a glTF of meshes, not of Gaussians: no primitive has {NAME}")
@@ -89,7 +89,7 @@ def opened(data: bytes | memoryview) -> tuple[dict[str, Any], memoryview]:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"broken glTF: its JSON ({' '.join(str(error).split())[:80]})") from None
+        raise InputError(f"broken glTF: its JSON ({brief(error)})") from None
     if not isinstance(document, dict):
         raise InputError("broken glTF: its JSON is no object")
     return document, binary
@@ -107,7 +107,7 @@ class _Buffers:
         view = self._document["bufferViews"][_whole(index)]
         if lost := [name for name in view.get("extensions", {}) if "meshopt" in name]:
             raise InputError(
-                f"a glTF packed with {lost[0]}, which is not read; unpack it with gltfpack or gltf-transform"
+                f"a glTF packed with {brief(lost[0])}, which is not read; unpack it with gltfpack or gltf-transform"
             )
         buffer = self._buffer(_whole(view["buffer"]))
         start, length = _whole(view.get("byteOffset", 0)), _whole(view["byteLength"])
@@ -146,18 +146,18 @@ class _Buffers:
                 except binascii.Error as error:
                     raise InputError(f"broken glTF: a buffer of base64 ({error})") from None
             elif Path(uri).is_absolute() or ".." in Path(uri).parts or ":" in uri:
-                raise InputError(f"broken glTF: a buffer in {uri[:80]!r}, must be a file beside it")
+                raise InputError(f"broken glTF: a buffer in {brief(uri)!r}, must be a file beside it")
             else:
                 try:
                     self._read[index] = memoryview((self._path.parent / uri).read_bytes())
                 except OSError as error:
-                    raise InputError(f"its buffer {uri[:80]!r} cannot be read ({error.strerror})") from None
+                    raise InputError(f"its buffer {brief(uri)!r} cannot be read ({error.strerror})") from None
         return self._read[index]
 
 
 def _whole(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise InputError(f"broken glTF: {value!r} where a whole number from 0 must be")
+        raise InputError(f"broken glTF: {brief(value)} where a whole number from 0 must be")
     return value
 
 

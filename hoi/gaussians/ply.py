@@ -16,7 +16,7 @@ import numpy as np
 from hoi.data import Array, GaussianCloud
 from hoi.errors import InputError
 from hoi.gaussians.cloud import SH_C0
-from hoi.gaussians.found import INRIA_UP, CloudFile, found
+from hoi.gaussians.found import INRIA_UP, CloudFile, brief, found
 
 PLACE, TURN = "x y z", "rot_0 rot_1 rot_2 rot_3"
 SIZE, DC, RGB = "scale_0 scale_1 scale_2", "f_dc_0 f_dc_1 f_dc_2", "red green blue"
@@ -92,13 +92,14 @@ def parsed(data: bytes | memoryview) -> Any:
     from plyfile import PlyData, PlyParseError
 
     text = check_header(data)
-    mapped = isinstance(data, memoryview) and isinstance(data.obj, mmap.mmap) and not text
-    whole: Any = data.obj if mapped else io.BytesIO(data)  # text is read by lines, which a mapped file has not
+    whole: Any = io.BytesIO(data)
+    if isinstance(data, memoryview) and isinstance(data.obj, mmap.mmap) and not text:
+        whole = data.obj  # text is read by lines, which a mapped file has not
     whole.seek(0)
     try:
         return PlyData.read(whole)
     except (PlyParseError, ValueError, EOFError, UnicodeDecodeError, TypeError, IndexError, KeyError) as error:
-        raise InputError(f"broken PLY, cut short or not well formed ({' '.join(str(error).split())[:200]})") from None
+        raise InputError(f"broken PLY, cut short or not well formed ({brief(error)})") from None
 
 
 def check_header(data: bytes | memoryview) -> bool:
@@ -118,7 +119,7 @@ def check_header(data: bytes | memoryview) -> bool:
         if words[:1] == ["element"]:
             needed += count * each
             if len(words) != 3 or not re.fullmatch(r"\d{1,18}", words[2]):
-                raise InputError(f"broken PLY, not well formed ({line.strip()[:60]!r})")
+                raise InputError(f"broken PLY, not well formed ({brief(line)!r})")
             count, each = int(words[2]), 1 if text else 0
         elif words[:1] == ["property"] and len(words) > 1:
             each += 2 if text else _BYTES.get(words[2 if words[1] == "list" and len(words) > 2 else 1], 1)

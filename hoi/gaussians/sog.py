@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hoi.data import Array
 from hoi.errors import InputError
-from hoi.gaussians.found import CloudFile, check_claim, found
+from hoi.gaussians.found import CloudFile, brief, check_claim, found
 
 MOST_PIXELS = 8_000_000
 """Of a picture: four of them in memory are 128 MB."""
@@ -42,18 +42,16 @@ def read_sog(data: bytes | memoryview, path: Path) -> CloudFile:
         meta = json.loads(text)
         version = meta.get("version", 1)
         if version not in (1, 2):
-            raise InputError(f"a .sog of version {version}; allowed are 1 and 2")
+            raise InputError(f"a .sog of version {brief(version)}; allowed are 1 and 2")
         count = meta["count"] if version == 2 else meta["means"]["shape"][0]
         if not isinstance(count, int) or count < 0:
-            raise InputError(f"broken .sog: count {count!r}")
+            raise InputError(f"broken .sog: count {brief(count)}")
         check_claim(count, 3 if meta.get("shN") else 0, packed, 16)
         return _decoded(meta, version, count, lambda name: _pixels(members(name), name))
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
-        raise InputError(
-            f"broken .sog: meta.json ({type(error).__name__} {' '.join(str(error).split())[:80]})"
-        ) from None
+        raise InputError(f"broken .sog: meta.json ({type(error).__name__} {brief(error)})") from None
 
 
 def _decoded(meta: dict[str, Any], version: int, count: int, pictures: Pictures) -> CloudFile:
@@ -97,7 +95,7 @@ def _harmonics(part: dict[str, Any], version: int, labels: NDArray[np.uint8], pi
     width = centroids.shape[1]
     bands = part["bands"] if version == 2 else _SH_WIDTHS.get(width, 0)
     if bands not in (1, 2, 3) or width != 64 * _COEFFICIENTS[bands]:
-        raise InputError(f"broken .sog: a palette {width} pixels wide for harmonics of degree {bands}")
+        raise InputError(f"broken .sog: a palette {width} pixels wide for harmonics of degree {brief(bands)}")
     palette = centroids[:, :, :3].reshape(-1, _COEFFICIENTS[bands], 3)
     label = labels[:, 0] + labels[:, 1].astype(np.intp) * 256
     if len(label) and label.max() >= len(palette):
@@ -127,13 +125,13 @@ def _pixels(content: bytes, name: str) -> NDArray[np.uint8]:
         with Image.open(io.BytesIO(content), formats=("WEBP", "PNG")) as picture:
             if picture.width * picture.height > MOST_PIXELS:
                 raise InputError(
-                    f"broken .sog: {name} has {picture.width} x {picture.height} pixels, at most {MOST_PIXELS}"
+                    f"broken .sog: {brief(name)} has {picture.width} x {picture.height} pixels, at most {MOST_PIXELS}"
                 )
             return np.asarray(picture.convert("RGBA"))
     except InputError:
         raise
     except Exception as error:  # a picture that is broken ends Pillow's decoders in many ways
-        raise InputError(f"broken .sog: {name} is no picture ({' '.join(str(error).split())[:80]})") from None
+        raise InputError(f"broken .sog: {brief(name)} is no picture ({brief(error)})") from None
 
 
 def _zip(data: bytes | memoryview) -> tuple[Callable[[str], bytes], bytes]:
@@ -141,20 +139,20 @@ def _zip(data: bytes | memoryview) -> tuple[Callable[[str], bytes], bytes]:
         archive = zipfile.ZipFile(io.BytesIO(data))
         names = {name.rsplit("/", 1)[-1]: name for name in archive.namelist()}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise InputError(f"broken .sog, cut short or no zip ({error})") from None
+        raise InputError(f"broken .sog, cut short or no zip ({brief(error)})") from None
 
     def member(name: str) -> bytes:
         if name not in names:
-            raise InputError(f"no .sog: a zip without {name}")
+            raise InputError(f"no .sog: a zip without {brief(name)}")
         try:
             with archive.open(names[name]) as file:
                 content = file.read(MOST_BYTES + 1)
         except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
-            raise InputError(f"broken .sog: {name} ({error})") from None
+            raise InputError(f"broken .sog: {brief(name)} ({brief(error)})") from None
         except Exception as error:  # zlib.error and others of the packers
-            raise InputError(f"broken .sog: {name} ({error})") from None
+            raise InputError(f"broken .sog: {brief(name)} ({brief(error)})") from None
         if len(content) > MOST_BYTES:
-            raise InputError(f"broken .sog: {name} unpacks to more than {MOST_BYTES >> 20} MiB")
+            raise InputError(f"broken .sog: {brief(name)} unpacks to more than {MOST_BYTES >> 20} MiB")
         return content
 
     return member, member("meta.json")
@@ -163,10 +161,10 @@ def _zip(data: bytes | memoryview) -> tuple[Callable[[str], bytes], bytes]:
 def _folder(folder: Path) -> Callable[[str], bytes]:
     def member(name: str) -> bytes:
         if Path(name).name != name:
-            raise InputError(f"broken .sog: meta.json names {name!r}, must be a file beside it")
+            raise InputError(f"broken .sog: meta.json names {brief(name)!r}, must be a file beside it")
         try:
             return (folder / name).read_bytes()
         except OSError as error:
-            raise InputError(f"no .sog: {name} beside meta.json: {error.strerror}") from None
+            raise InputError(f"no .sog: {brief(name)} beside meta.json: {error.strerror}") from None
 
     return member
