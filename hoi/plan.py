@@ -85,7 +85,7 @@ def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check
         checks.append(Check("planes", str(len(names)), "; ".join(names) or "empty space"))
     thing = config.object
     if thing.kind is ObjectKind.file and thing.up == "auto" and thing.path is not None and Path(thing.path).exists():
-        from hoi.gaussians.files import up_in
+        from hoi.objects.load import up_in
 
         checks.append(Check("up", *up_in(Path(thing.path))))
     if len(materials) > 1:

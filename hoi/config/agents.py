@@ -73,7 +73,10 @@ class ObjectConf:
     stable: bool = MISSING
     """Stays where it is when put on the ground: its motion at rest need not be simulated."""
     max_gaussians: int = MISSING
-    """A larger cloud is thinned to this."""
+    """A larger cloud is thinned to this; they are the particles of the surface."""
+    max_drawn: int | None = None
+    """More than these of a file are not shown: what lies between the two limits is carried by the particles. null shows
+    what is simulated."""
     regions: list[RegionConf] = field(default_factory=list)
     """Parts of other materials; where they overlap, the later one holds."""
 

@@ -1,7 +1,7 @@
-"""The whole scene as Gaussians, a file a frame: INRIA's `.ply`, `.splat` and `.spz`.
+"""The whole scene as Gaussians, a file a frame: INRIA's `.ply`, `.splat`, `.spz`, and glTF with KHR_gaussian_splatting.
 
 Rows are those of the record in every frame, the person's first, so that a Gaussian keeps its number. What `.ply` and
-`.splat` hold is said in `hoi.gaussians`, which also reads all three back.
+`.splat` hold is said in `hoi.gaussians`, which also reads all of them back.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,6 +17,8 @@ from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
 from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
 from hoi.export.axes import AXES
 from hoi.files import whole_folder
+from hoi.gaussians.khr import write_khr
+from hoi.objects.carrying import carried_by
 from hoi.render.shown import scene_of
 
 FRAME = "frame_{:04d}"
@@ -26,8 +28,11 @@ KINDS: dict[str, Callable[[GaussianCloud, Path], None]] = {
     "ply": gaussians.write_ply,
     "splat": gaussians.write_splat,
     "spz": gaussians.write_spz,
+    "khr": write_khr,
 }
-"""What a sequence may be of, by extension."""
+"""What a sequence may be of."""
+EXTENSIONS = {"khr": "glb"}
+"""Of the files of a kind, where it is not their name."""
 
 
 def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> None:
@@ -41,10 +46,12 @@ def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> Non
         InputError: as `clouds`, or the folder cannot be written to or holds something else.
         RunError: the disk is full or broken.
     """
-    with whole_folder(folder, rf"frame_\d+\.{kind}") as part:
+    extension = EXTENSIONS.get(kind, kind)
+    axes = "y-up" if kind == "khr" else axes  # glTF's way, always
+    with whole_folder(folder, rf"frame_\d+\.{extension}") as part:
         for frame, cloud in enumerate(clouds(run)):
             turned = cloud if axes == "z-up" else gaussians.transform(cloud, AXES[axes])
-            KINDS[kind](turned, part / f"{FRAME.format(frame)}.{kind}")
+            KINDS[kind](turned, part / f"{FRAME.format(frame)}.{extension}")
 
 
 def clouds(run: Run) -> Iterator[GaussianCloud]:
@@ -53,14 +60,23 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
     """
-    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
-    parts = []
-    if motion is not None:
-        parts.append(_person(scene.body, motion))
-    if trajectory is not None:
-        parts.append(_thing(scene.thing, trajectory))
-    for clouds_now in zip(*parts, strict=True):
+    for clouds_now in zip(*moving_parts(run).values(), strict=True):
         yield join(clouds_now)
+
+
+def moving_parts(run: Run) -> dict[str, Iterator[GaussianCloud]]:
+    """ "person" and "object", whichever the run has, each frame by frame in the world.
+
+    Raises:
+        InputError: as `hoi.render.shown.scene_of`.
+    """
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
+    parts: dict[str, Iterator[GaussianCloud]] = {}
+    if motion is not None:
+        parts["person"] = _person(scene.body, motion)
+    if trajectory is not None:
+        parts["object"] = _thing(scene.thing, trajectory)
+    return parts
 
 
 def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
@@ -87,10 +103,11 @@ def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:
 
 
 def _thing(thing: SceneObject, trajectory: ObjectTrajectory) -> Iterator[GaussianCloud]:
-    count, cloud = len(thing.cloud), thing.cloud
-    for frame, positions in enumerate(trajectory.positions):
-        if trajectory.deformation_gradient is None:
-            yield replace(cloud, means=positions[:count])
-        else:
+    count, cloud, carried = len(thing.cloud), thing.drawn or thing.cloud, carried_by(thing)
+    for frame, positions in enumerate(trajectory.positions[:, :count]):
+        gradient = None
+        if trajectory.deformation_gradient is not None:
             gradient = trajectory.deformation_gradient[frame, :count].astype(np.float64)
-            yield gaussians.deform(cloud, positions[:count], gradient)
+        if carried is not None:
+            positions, gradient = carried.moved(positions, gradient)
+        yield replace(cloud, means=positions) if gradient is None else gaussians.deform(cloud, positions, gradient)

@@ -1,6 +1,7 @@
 """Which format a file has, by its content, and the cloud in it."""
 
 import mmap
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from hoi.data import GaussianCloud
 from hoi.errors import InputError, about
 from hoi.gaussians.cloud import select
 from hoi.gaussians.found import MOST_UNPACKED, CloudFile, unzipped
+from hoi.gaussians.khr import holds_splats
 from hoi.gaussians.ply import up_of
 
 MAX_DROPPED_FRACTION = 0.01
@@ -98,6 +100,31 @@ def up_in(path: Path) -> tuple[str, str]:
         return up_of([line.strip()[8:] for line in lines if line.strip().startswith("comment ")])
     it = read_file(path)
     return it.up, it.why
+
+
+def holds_mesh(path: Path) -> bool:
+    """Whether a file is a mesh: .obj, .stl, a PLY with faces and no rotations, a glTF without splats.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    path, suffix = Path(path), Path(path).suffix.lower()
+    if path.is_dir() or suffix not in (".obj", ".stl", ".ply", ".glb", ".gltf"):
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(1 << 16)
+            if head.startswith(b"ply"):
+                header = head.partition(b"end_header")[0]
+                faces = re.search(rb"element\s+face\s+0*[1-9]", header)
+                return faces is not None and b"rot_0" not in header and b"packed_" not in header
+            whole = head + file.read() if suffix in (".glb", ".gltf") else b""
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); give {ALLOWED}") from None
+    if whole:
+        with about(path):
+            return not holds_splats(whole)
+    return suffix in (".obj", ".stl")
 
 
 def kind_of(data: bytes | memoryview, path: Path) -> str:

@@ -111,7 +111,7 @@ def _share(points: Array, solid: Array, lower: Array, spacing: float, sheets: bo
         places = ((points - lower) / spacing).astype(int)
         holding = np.zeros_like(main)
         holding[tuple(places[((places >= 0) & (places < solid.shape)).all(1)].T)] = True
-        alone = thin & holding & ~ndimage.binary_dilation(main, np.ones((3, 3, 3)))
+        alone = thin & holding & ~np.asarray(ndimage.binary_dilation(main, np.ones((3, 3, 3))), bool)
         main, thin = main | alone, thin & ~alone
     if not main.any():
         raise InputError(f"spacing {spacing:g} m: coarser than the object is thick; take it finer")

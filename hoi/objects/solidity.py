@@ -65,15 +65,14 @@ def solid_of(cloud: GaussianCloud) -> Solid:
     surface = _covered(cloud, lower, cell, counts)
 
     apart = _distance(surface) * cell
-    outside, hollow = _flooded(apart > near), None
-    inner = (apart > near) & ~outside
+    outside = _flooded(apart > near)
+    hollow = (apart > near) & ~outside
     if wide > near:
         far = _flooded(apart > wide)
         sealed = (apart > wide) & ~far  # hollow once wider openings are closed too
         if (sealed & outside).sum() > 0.05 * max(sealed.sum(), 1):
             leaked = outside & (_distance(sealed) < _distance(far))
-            inner, outside = inner | leaked, outside & ~leaked
-    hollow = inner
+            hollow, outside = hollow | leaked, outside & ~leaked
     to_outside = _distance(outside) * cell
     wall = np.zeros(counts)
     half = 0.0
@@ -129,7 +128,7 @@ def _covered(cloud: GaussianCloud, lower: Array, cell: float, counts: NDArray[np
 
 def _flooded(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """What of the free cells a flood from the border reaches."""
-    return free & ~np.asarray(ndimage.binary_fill_holes(~free) & free)
+    return free & ~np.asarray(ndimage.binary_fill_holes(~free), bool)
 
 
 def _distance(cells: NDArray[np.bool_]) -> Array:

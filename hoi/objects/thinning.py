@@ -84,6 +84,11 @@ def _drawn(means: Array, weights: Array, count: int, seed: int) -> NDArray[np.in
     return np.sort(order[taken])[:count]
 
 
+def even(means: Array, count: int, seed: int = 0) -> NDArray[np.intp]:
+    """At most `count` rows of points (N, 3), evenly spread."""
+    return np.arange(len(means)) if len(means) <= count else _drawn(means, np.ones(len(means)), count, seed)
+
+
 def _factor(weights: Array, count: int) -> float:
     """f with sum(min(1, f w)) = count."""
     falling = np.sort(weights)[::-1]

@@ -211,7 +211,7 @@ def test_real_captures(name: str) -> None:
         pytest.skip(f"{path.name} is not in the shared data")
     loaded = load.load_file(path, 0.8, "-y", 0.025, max_gaussians=20_000)
     assert len(loaded.cloud) <= 20_000
-    assert np.ptp(loaded.cloud.means, axis=0).max() == pytest.approx(0.8, rel=1e-4)
+    assert np.ptp(loaded.cloud.means, axis=0).max() == pytest.approx(0.8, rel=0.01)
     assert 1e-3 < loaded.volumes.sum() < 0.2 and (loaded.volumes > 0).all()
     rgb, z = gaussians.colours(loaded.cloud), loaded.cloud.means[:, 2]
     if name == "plant":  # green leaves above a pot
