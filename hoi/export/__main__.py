@@ -22,8 +22,8 @@ CHOICES = {
     "splat": ("splat/", "the same as .splat, 32 bytes a Gaussian"),
     "spz": ("spz/", "the same as .spz (version 3), the smallest"),
     "khr": ("khr/", "the same as .glb with KHR_gaussian_splatting, Y up"),
-    "usd_splats": ("splats.usdc", "the Gaussians over time as USD's ParticleField3DGaussianSplat; needs usd-core"),
-    "rerun_splats": ("splats.rrd", "the Gaussians over time as Rerun's GaussianSplats3D; needs rerun-sdk"),
+    "usd-splats": ("splats.usdc", "the Gaussians over time as USD's ParticleField3DGaussianSplat; needs usd-core"),
+    "rerun-splats": ("splats.rrd", "the Gaussians over time as Rerun's GaussianSplats3D; needs rerun-sdk"),
     "collider": ("collider.glb", "the object's surface as one mesh, as it lies in frame 0"),
     "npz": ("smpl.npz", "the motion as SMPL parameters, with AMASS's names"),
     "bvh": ("motion.bvh", "the motion as BVH: metres, Y up"),
@@ -42,8 +42,8 @@ WRITERS = {
     "csv": "hoi.export.trajectories:write_csv",
     "html": "hoi.export.page:write_page",
     "usd": "hoi.export.usd:write_usd",
-    "usd_splats": "hoi.export.splats:write_usd_splats",
-    "rerun_splats": "hoi.export.splats:write_rerun_splats",
+    "usd-splats": "hoi.export.splats:write_usd_splats",
+    "rerun-splats": "hoi.export.splats:write_rerun_splats",
     "collider": "hoi.export.glb:write_collider",
 }
 """What writes the run, or its video, to a path, imported when it is called; the other choices are clouds by frame."""
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("record", type=Path, metavar="RUN.mcap")
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="default: the folder export beside the record")
     for name, (file, what) in CHOICES.items():
-        parser.add_argument(f"--{name.replace('_', '-')}", action="store_true", help=f"{file}: {what}")
+        parser.add_argument(f"--{name}", action="store_true", help=f"{file}: {what}")
     parser.add_argument(
         "--axes", choices=("z-up", "y-up", "y-down"), default="z-up", help="of .ply, .splat and .spz (default: z-up)"
     )
@@ -82,7 +82,7 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     source: Path = options.record
     run = record.read(source)
-    named = [name for name in CHOICES if getattr(options, name)]
+    named = [name for name in CHOICES if getattr(options, name.replace("-", "_"))]
     wanted = named or [name for name in USUAL if run.state.motion is not None or name not in OF_MOTION]
     if not set(wanted) <= set(OF_VIDEO):
         scene_of(run, source)

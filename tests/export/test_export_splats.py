@@ -1,5 +1,7 @@
 """The Gaussians of a run in USD, Rerun and glTF, read back with their own libraries."""
 
+from collections import defaultdict
+
 import numpy as np
 import pytest
 from demo_run import make_run
@@ -16,7 +18,7 @@ FRAMES = 6
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    return make_run(frames=FRAMES)
+    return make_run(frames=FRAMES)[0]
 
 
 def test_usd_splats_hold_every_frame(run, tmp_path):
@@ -45,14 +47,16 @@ def test_usd_splats_hold_every_frame(run, tmp_path):
 
 
 def test_rerun_splats_hold_every_frame(run, tmp_path):
-    rerun = pytest.importorskip("rerun")
-    if not hasattr(rerun, "GaussianSplats3D"):
-        pytest.skip("rerun-sdk is older than the archetype")
+    chunks = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not here, or an older one")
     splats.write_rerun_splats(run, tmp_path / "s.rrd")
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
-    stored: dict[str, list[dict]] = {}
-    for chunk in chunks(tmp_path / "s.rrd"):
-        stored.setdefault(chunk[0], []).append(chunk[1])
+    stored = defaultdict(list)
+    for chunk in chunks.RrdReader(tmp_path / "s.rrd").stream():
+        table = chunk.to_record_batch().to_pydict()
+        names = {name: name.rpartition(":")[2] for name in table if name.startswith("GaussianSplats3D:")}
+        for row in range(len(table["frame"]) if names else 0):
+            values = {short: table[name][row] for name, short in names.items()}
+            stored[chunk.entity_path].append({"frame": table["frame"][row]} | values)
     for name, frames in clouds.moving_parts(run).items():
         rows = sorted(stored[f"/scene/{name}"], key=lambda row: row["frame"])
         assert len(rows) == FRAMES
@@ -63,18 +67,9 @@ def test_rerun_splats_hold_every_frame(run, tmp_path):
             rgba = np.array(row["colors"], "<u4")[:, None] >> np.array([24, 16, 8, 0]) & 255
             np.testing.assert_allclose(rgba[:, :3] / 255, np.clip(colours(cloud), 0, 1), atol=0.5 / 255 + 1e-6)
             np.testing.assert_allclose(rgba[:, 3] / 255, cloud.opacities, atol=0.5 / 255 + 1e-6)
-
-
-def chunks(path):
-    """(entity, {"frame": n, column: values}) of every row of a recording."""
-    from rerun import dataframe
-
-    recording = dataframe.load_recording(str(path))
-    for entity in ("/scene/person", "/scene/object"):
-        table = recording.view(index="frame", contents=entity).select().read_all().to_pydict()
-        for row, frame in enumerate(table["frame"]):
-            values = {key.rpartition(":")[2]: column[row] for key, column in table.items() if entity in key}
-            yield entity, {"frame": frame} | values
+            if cloud.sh.shape[1] > 1:
+                higher = np.array(row["sh_coefficients"]).reshape(len(cloud), 15, 3)
+                np.testing.assert_allclose(higher[:, : cloud.sh.shape[1] - 1], cloud.sh[:, 1:], atol=2e-3)
 
 
 def test_khr_sequence_is_y_up_and_reads_back(run, tmp_path):
