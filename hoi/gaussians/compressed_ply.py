@@ -25,7 +25,7 @@ def read_compressed(data: bytes | memoryview, path: Path) -> CloudFile:
     """Raises:
     InputError: broken, cut short, or chunks that do not fit the Gaussians.
     """
-    ply = parsed(data)
+    ply = parsed(data, path)
     if "chunk" not in ply or "vertex" not in ply:
         raise InputError("a compressed PLY without chunks")
     chunks, vertex = ply["chunk"], ply["vertex"]

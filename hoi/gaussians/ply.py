@@ -5,9 +5,9 @@ found by name, so their order, type and encoding do not matter. What differs by 
 `red green blue` in place of harmonics, two scales (flat Gaussians), `filter_3D`, values that are activated already.
 """
 
-import io
 import mmap
 import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ def read_ply(data: bytes | memoryview, path: Path) -> CloudFile:
     """Raises:
     InputError: broken, or without what makes a vertex a Gaussian.
     """
-    ply = parsed(data)
+    ply = parsed(data, path)
     if "vertex" not in ply:
         raise InputError("a PLY without a vertex element, not a 3DGS file")
     vertex = ply["vertex"]
@@ -83,7 +83,7 @@ def read_ply(data: bytes | memoryview, path: Path) -> CloudFile:
     return found(means, columns(TURN), sizes, opacities, sh, *up_of(ply.comments), tuple(notes))
 
 
-def parsed(data: bytes | memoryview) -> Any:
+def parsed(data: bytes | memoryview, path: Path) -> Any:
     """A `plyfile.PlyData`, once its header has been seen to claim no more than there is.
 
     Raises:
@@ -91,19 +91,20 @@ def parsed(data: bytes | memoryview) -> Any:
     """
     from plyfile import PlyData, PlyParseError
 
-    text = check_header(data)
-    whole: Any = io.BytesIO(data)
-    if isinstance(data, memoryview) and isinstance(data.obj, mmap.mmap) and not text:
-        whole = data.obj  # text is read by lines, which a mapped file has not
-    whole.seek(0)
+    check_header(data)
     try:
-        return PlyData.read(whole)
+        if isinstance(data, memoryview) and isinstance(data.obj, mmap.mmap):
+            return PlyData.read(str(path))
+        with tempfile.TemporaryFile() as file:  # in memory it would be read number by number
+            file.write(data)
+            file.seek(0)
+            return PlyData.read(file)
     except (PlyParseError, ValueError, EOFError, UnicodeDecodeError, TypeError, IndexError, KeyError) as error:
         raise InputError(f"broken PLY, cut short or not well formed ({brief(error)})") from None
 
 
-def check_header(data: bytes | memoryview) -> bool:
-    """Refuse a header whose counts do not fit into the file; whether the rest is text.
+def check_header(data: bytes | memoryview) -> None:
+    """Refuse a header whose counts do not fit into the file.
 
     Raises:
         InputError: as said.
@@ -128,7 +129,6 @@ def check_header(data: bytes | memoryview) -> bool:
             f"cut short, or a header that claims too much: its elements take {needed} bytes or more, "
             f"{len(data) - end.end()} are there"
         )
-    return text
 
 
 def up_of(comments: list[str]) -> tuple[str, str]:
