@@ -1,6 +1,7 @@
 """3D Gaussian clouds: their algebra (`cloud`), and the files they come in and go to, a module a format."""
 
 from hoi.gaussians.cloud import (
+    MOST_STRETCH,
     SH_C0,
     areas,
     colours,
@@ -8,12 +9,14 @@ from hoi.gaussians.cloud import (
     deform,
     fibonacci_sphere,
     higher_harmonics,
+    limited,
     rotate_sh,
     rotation_matrices,
     select,
     sh_basis,
     sh_degree,
     sh_from_colours,
+    stretch,
     transform,
 )
 from hoi.gaussians.files import load_clean, read_file, read_gaussians
@@ -23,6 +26,7 @@ from hoi.gaussians.splat import write_splat
 from hoi.gaussians.spz import write_spz
 
 __all__ = [
+    "MOST_STRETCH",
     "SH_C0",
     "CloudFile",
     "areas",
@@ -31,6 +35,7 @@ __all__ = [
     "deform",
     "fibonacci_sphere",
     "higher_harmonics",
+    "limited",
     "load_clean",
     "read_file",
     "read_gaussians",
@@ -40,6 +45,7 @@ __all__ = [
     "sh_basis",
     "sh_degree",
     "sh_from_colours",
+    "stretch",
     "transform",
     "write_ply",
     "write_splat",

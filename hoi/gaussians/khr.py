@@ -21,7 +21,7 @@ import hoi
 from hoi.data import Array, GaussianCloud, fields_of
 from hoi.errors import InputError
 from hoi.files import whole_file
-from hoi.gaussians.cloud import SH_C0, cloud_of, colours, deform, sh_degree
+from hoi.gaussians.cloud import SH_C0, cloud_of, colours, sh_degree, stretch
 from hoi.gaussians.found import CloudFile, brief
 from hoi.gaussians.spz import read_spz
 
@@ -175,7 +175,7 @@ def _clouds(document: dict[str, Any], buffers: _Buffers) -> Iterator[GaussianClo
                 cloud = _cloud(primitive["attributes"], buffers, extension.get("colorSpace", ""))
             if not np.array_equal(matrix, np.eye(4)):
                 places = cloud.means.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-                cloud = deform(cloud, places, np.broadcast_to(matrix[:3, :3], (len(cloud), 3, 3)))
+                cloud = stretch(cloud, places, np.broadcast_to(matrix[:3, :3], (len(cloud), 3, 3)))
             yield cloud
 
 
