@@ -137,6 +137,4 @@ def paint(
     colours[eye & (aside < 0.012) & (np.abs(above) < 0.0045)] = EYE_WHITE
     colours[eye & (np.hypot(aside, above) < 0.0065)] = outfit.iris
     colours[hair(points, regions, face, outfit)] = outfit.hair
-
-    # Splats carry no light of their own: a soft sky above keeps the shape readable.
-    return colours * (0.9 + 0.1 * normals[:, 1:2])
+    return colours

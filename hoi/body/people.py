@@ -98,6 +98,7 @@ def dress(
         scales=scales.astype(np.float32),
         opacities=np.full(len(points), OPACITY, dtype=np.float32),
         sh=sh_from_colours(np.clip(colours, 0, 1)).astype(np.float32),
+        surface=np.stack([normals, normals], 1).astype(np.float16),
     )
 
 

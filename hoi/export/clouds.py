@@ -6,7 +6,7 @@ Rows are those of the record in every frame, the person's first, so that a Gauss
 
 import gzip
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
 from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
 from hoi.export.axes import AXES
 from hoi.files import whole_file, whole_folder
+from hoi.render.light import lit_cloud
 from hoi.render.shown import scene_of
 
 FRAME = "frame_{:04d}"
@@ -95,7 +96,7 @@ def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> Non
 
 
 def clouds(run: Run) -> Iterator[GaussianCloud]:
-    """Person and object, whichever the run has, in the world, frame by frame.
+    """Person and object, whichever the run has, in the world, frame by frame, in the light of a film without shadows.
 
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
@@ -107,15 +108,16 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
     if trajectory is not None:
         parts.append(_thing(scene.thing, trajectory))
     for clouds_now in zip(*parts, strict=True):
-        yield join(clouds_now)
+        yield join([lit_cloud(cloud) for cloud in clouds_now])
 
 
-def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
+def join(parts: Sequence[GaussianCloud]) -> GaussianCloud:
     """All Gaussians as one cloud; harmonics that a part lacks are zero."""
     bands = max(part.sh.shape[1] for part in parts)
     sh = [np.pad(part.sh, ((0, 0), (0, bands - part.sh.shape[1]), (0, 0))) for part in parts]
     padded = [replace(part, sh=harmonics) for part, harmonics in zip(parts, sh, strict=True)]
-    return GaussianCloud(*map(np.concatenate, zip(*(fields_of(part).values() for part in padded), strict=True)))
+    columns = (fields_of(replace(part, surface=None)).values() for part in padded)
+    return GaussianCloud(*(np.concatenate(column) for column in zip(*columns, strict=True) if column[0] is not None))
 
 
 def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:

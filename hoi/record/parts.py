@@ -13,7 +13,7 @@ from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject, fields_of
 
 T = TypeVar("T")
 
-_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes")
+_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes", "setting")
 _BODY = ("name", "source")
 _OBJECT = ("name", "size", "notes", "material", "other_materials")
 
@@ -115,5 +115,5 @@ def _npz(owner: Body | SceneObject) -> bytes:
 def _arrays(data: bytes, owner: type) -> dict[str, Any]:
     """The inverse of `_npz`; what `owner` has no field for is left out."""
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        cloud = GaussianCloud(**{f.name: archive[f.name] for f in fields(GaussianCloud)})
+        cloud = GaussianCloud(**{f.name: archive[f.name] for f in fields(GaussianCloud) if f.name in archive.files})
         return {"cloud": cloud} | {f.name: archive[f.name] for f in fields(owner) if f.name in archive.files}

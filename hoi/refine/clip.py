@@ -14,7 +14,8 @@ from torch import Tensor
 
 from hoi.body.skeleton import JOINT_COUNT, PARENTS
 from hoi.body.skinning import joint_paths
-from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Scene, State
+from hoi.data import Body, Motion, ObjectTrajectory, Scene, State, fields_of
+from hoi.gaussians import select
 from hoi.refine.silhouettes import coverage, silhouettes
 from hoi.refine.views import Framing, background, ring
 from hoi.refine.window import Window
@@ -190,18 +191,15 @@ def moved_by(body: Body, joints: Sequence[int]) -> np.ndarray:
 
 def chosen(splats: Splats, rows: torch.Tensor) -> Splats:
     """Some of the Gaussians, by a mask (N,)."""
-    turns = None if splats.turns is None else splats.turns[rows]
-    return Splats(splats.means[rows], splats.covariances[rows], splats.opacities[rows], splats.sh[rows], turns)
+    return Splats(*(tensor if tensor is None else tensor[rows] for tensor in fields_of(splats).values()))
 
 
 def subset(body: Body, rows: np.ndarray) -> Body:
     """Some of a body's Gaussians."""
-    cloud = body.cloud
-    parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.sh)
     directions = None if body.pose_directions is None else body.pose_directions[rows]
     return replace(
         body,
-        cloud=GaussianCloud(*(part[rows] for part in parts)),
+        cloud=select(body.cloud, rows),
         skinning_weights=body.skinning_weights[rows],
         pose_directions=directions,
     )

@@ -38,6 +38,7 @@ def build_scene(
         fps=conf.fps,
         gravity=np.array(conf.gravity),
         planes=tuple(planes.values()),
+        setting=conf.setting.value,
     )
     with under("scene"):
         check_clear(scene.thing, planes)
