@@ -43,15 +43,6 @@ class PlaneContact(StrEnum):
     stick = "stick"
 
 
-class Setting(StrEnum):
-    """The names in `hoi.render.places.Ground`."""
-
-    plain = "plain"
-    grass = "grass"
-    court = "court"
-    gym = "gym"
-
-
 class Approach(StrEnum):
     step = "step"
     stand = "stand"

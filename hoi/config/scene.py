@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from hoi.config.choices import Approach, PlaneContact, Setting
+from hoi.config.choices import Approach, PlaneContact
+from hoi.render import Ground
 
 
 @dataclass
@@ -57,7 +58,7 @@ class SceneConf:
     """Whether the half-space z < 0 is solid, with the material's ground_friction."""
     planes: list[PlaneConf] | None = None
     """Walls beside the ground."""
-    setting: Setting = Setting.plain
+    setting: Ground = Ground.gym
     """What the ground looks like in pictures."""
     placement: PlacementConf = field(default_factory=PlacementConf)
     approach: Approach = Approach.step

@@ -22,6 +22,7 @@ from hoi.refine.window import Window
 from hoi.render import cameras
 from hoi.render.cameras import Camera
 from hoi.render.film import has_floor
+from hoi.render.light import lit, lit_parts
 from hoi.render.rasterise import rasterise, render_frames
 from hoi.render.replay import Replay, person_tensors, posed
 from hoi.render.splats import Splats, join
@@ -70,7 +71,7 @@ class Clip:
         with torch.no_grad():
             things = [self._shown.parts(frame)[1] for frame in window.frames]
             others = posed(rest, self._translation, self._orientation, before)
-        self._still = [(other, thing) for other, thing in zip(others, things, strict=True)]
+        self._still = [lit_parts(pair) for pair in zip(others, things, strict=True)]
         self._kept: dict[Camera, tuple[Tensor | None, dict[int, Tensor]]] = {}
         self._room = CACHE
 
@@ -94,7 +95,7 @@ class Clip:
             if behind is None:
                 changed[frame] = torch.stack([coverage(limb, camera), *pictures[frame]])
             else:
-                changed[frame] = rasterise(join([limb, *still]), camera, behind).colour.movedim(-1, 0)
+                changed[frame] = rasterise(join([lit(limb), *still]), camera, behind).colour.movedim(-1, 0)
         clip = torch.stack([changed[frame] if frame in changed else pictures[frame] for frame in self.frames])
         return clip.clamp(0, 1)
 
@@ -113,7 +114,7 @@ class Clip:
         """The background (height, width, 3), and the pictures (3, height, width) of the frames outside the window."""
         behind = background(camera, floor=self._floor, device=self._device)
         outside = sorted(set(self.frames) - set(self.window.frames))
-        drawn = render_frames((self._shown.parts(frame) for frame in outside), camera, behind)
+        drawn = render_frames((lit_parts(self._shown.parts(frame)) for frame in outside), camera, behind)
         return behind, {frame: picture.colour.movedim(-1, 0) for frame, picture in zip(outside, drawn, strict=True)}
 
     @torch.no_grad()

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hoi.data import Camera, Scene
-from hoi.render import Backend
-from hoi.render.cameras import view
+from hoi.render import Backend, Ground
+from hoi.render.cameras import ACTION, view
+from hoi.render.director import directed
 from hoi.render.ground import Backdrop, Shadow, beams, cast
 from hoi.render.light import lit, relit
 from hoi.render.look import Look
-from hoi.render.places import Ground
 from hoi.render.rasterise import render_frames
 from hoi.render.replay import Replay
 from hoi.render.shadows import key_light_left
@@ -21,11 +21,14 @@ from hoi.render.splats import Splats
 
 
 def cameras_of(replay: Replay, name: str, width: int, height: int) -> list[Camera]:
-    """The camera of each frame, by the names in `hoi.render.cameras.VIEWS`; one that stands is the same object in all.
+    """The camera of each frame, by the names in `hoi.render.cameras.VIEWS`, or of the action; one that stands is the same
+    object in all.
 
     Raises:
         InputError: as `hoi.render.cameras.view`.
     """
+    if name == ACTION:
+        return directed(replay, width, height)
     found = view(name, replay.action(), width=width, height=height)
     return found if isinstance(found, list) else [found] * replay.frames
 

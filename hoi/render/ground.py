@@ -15,9 +15,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from hoi.data import Array, Camera
+from hoi.render import Ground
 from hoi.render.cameras import project
 from hoi.render.light import Light
-from hoi.render.places import PLACES, Ground, pattern_at
+from hoi.render.places import PLACES, pattern_at
 from hoi.render.splats import Splats
 
 FLOOR, LINE, HORIZON, ZENITH = 0.909, 0.842, 0.961, 0.99

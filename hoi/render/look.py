@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from hoi.render import Ground
 from hoi.render.light import DAY, Light
-from hoi.render.places import Ground
 from hoi.render.rasterise import Settings
 
 
@@ -15,8 +15,6 @@ class Look:
     """None: albedo as it is, and the sky's shadows alone."""
     shadows: bool = True
     """Whether person and object keep the key light from each other and from the floor."""
-    relight: bool = False
-    """Whether captured Gaussians, whose colours hold a light, get this one too, as a gain that keeps their mean."""
     antialiased: bool = True
     """See `hoi.render.rasterise.Settings`."""
     ground: Ground | None = None

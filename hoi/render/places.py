@@ -3,7 +3,6 @@ real thing, so that lengths can be read off a picture."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 
 import numpy as np
@@ -11,18 +10,10 @@ import torch
 from torch import Tensor
 
 from hoi.data import Array
+from hoi.render import Ground
 
 RGB = tuple[float, float, float]
 TEXELS = 512
-
-
-class Ground(StrEnum):
-    """What the person stands on."""
-
-    plain = "plain"
-    grass = "grass"
-    court = "court"
-    gym = "gym"
 
 
 @dataclass(frozen=True)

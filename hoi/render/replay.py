@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -189,7 +190,7 @@ class Replay:
             relight: captured clouds get the surface that their flattest axes tell, so that light can be put on them.
         """
         scene, self.captured = _with_surfaces(scene) if relight else (scene, frozenset())
-        self.scene, self.state = scene, state
+        self.scene, self.state, self._device = scene, state, device
         self.fps = scene.fps
         self._parts: dict[str, _MovingPerson | _MovingObject] = {}
         if state.motion is not None:
@@ -203,6 +204,14 @@ class Replay:
         """Of the parts: "person", "object"."""
         return tuple(self._parts)
 
+    def retimed(self, frames: Array, fps: float) -> "Replay":
+        """The replay whose frames are these fractional ones (F,), see `hoi.render.between.at_frames`."""
+        from hoi.render.between import at_frames
+
+        found = Replay(*at_frames(self.scene, self.state, frames, fps), self._device)
+        found.captured = self.captured
+        return found
+
     def parts(self, frame: int) -> tuple[Splats, ...]:
         """Person and object in a frame, whichever the run has.
 
@@ -213,11 +222,15 @@ class Replay:
         with torch.no_grad():
             return tuple(part.at(frame) for part in self._parts.values())
 
-    def action(self) -> Action:
-        """What a camera has to show."""
+    @cached_property
+    def _action(self) -> Action:
         outlines = {name: part.outline() for name, part in self._parts.items()}
         nothing = np.zeros((self.frames, 0, 3))
         return Action(outlines.get("person", nothing), outlines.get("object", nothing), self.fps)
+
+    def action(self) -> Action:
+        """What a camera has to show."""
+        return self._action
 
 
 def replay(run: Run, device: torch.device | str = "cpu", *, relight: bool = False) -> Replay:

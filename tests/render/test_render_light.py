@@ -11,8 +11,9 @@ from render_scenes import camera, random_splats, weighed
 
 from hoi.data import Body
 from hoi.gaussians import SH_C0, fibonacci_sphere, transform, with_surface
+from hoi.render import Ground
 from hoi.render.light import DAY, Light, irradiance, lit, lit_cloud, relit, sky, to_linear, to_shown
-from hoi.render.places import PLACES, Ground, pattern_at
+from hoi.render.places import PLACES, pattern_at
 from hoi.render.rasterise import Settings, rasterise
 from hoi.render.replay import person_tensors, posed
 from hoi.render.shadows import key_light_left
