@@ -38,8 +38,8 @@ class GaussianCloud:
     sh: Array
     """Spherical-harmonics colour coefficients, shape (N, K, 3), K in {1, 4, 9, 16}; see `hoi.gaussians`."""
     surface: Array | None = None
-    """Of the surface that each lies on: its unit normal, and the mean direction of what of the sky is open, as long as that
-    share, both in the frame of `means`, shape (N, 2, 3). Colours are albedo then, and light is computed
+    """Of the surface that each lies on: its unit normal, and the mean direction of what of the sky is open, as long
+    as that share, both in the frame of `means`, shape (N, 2, 3). Colours are albedo then, and light is computed
     (`hoi.render.light`); None: the light is in the colours, as it is in captures."""
 
     def __len__(self) -> int:

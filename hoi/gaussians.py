@@ -331,8 +331,8 @@ def covariances(cloud: GaussianCloud) -> Array:
 
 
 def with_surface(cloud: GaussianCloud, neighbours: int = 24) -> GaussianCloud:
-    """A captured cloud with a surface: normals along the Gaussians' flattest axes, away from the middle of what is around
-    them, or where they lie evenly from the middle of all; nothing closes the sky."""
+    """A captured cloud with a surface: normals along the Gaussians' flattest axes, away from the middle of what is
+    around them, or where they lie evenly from the middle of all; nothing closes the sky."""
     from scipy.spatial import KDTree
 
     axes, rows = rotation_matrices(cloud), np.arange(len(cloud))

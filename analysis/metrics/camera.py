@@ -1,4 +1,5 @@
-"""Whether the video in the record shows what happens: who strikes and what is struck in the picture, the contact unhidden."""
+"""Whether the video in the record shows what happens: who strikes and what is struck in the picture, the contact
+unhidden."""
 
 import numpy as np
 
@@ -33,8 +34,8 @@ def contact_in_picture(record: Record) -> float:
 
 
 def contact_seen(record: Record) -> float:
-    """Share of the skin and of the object within 12 cm of the contact that nothing hides at t_c, the smaller of both: a point
-    is hidden when another lies 4 cm or more before it in the same 4 x 4 pixels."""
+    """Share of the skin and of the object within 12 cm of the contact that nothing hides at t_c, the smaller of both:
+    a point is hidden when another lies 4 cm or more before it in the same 4 x 4 pixels."""
     push, cameras, skin = record.push, _cameras(record), record.skin
     frame = _frame(push.frame, len(cameras))
     if skin is None:

@@ -102,10 +102,8 @@ def hair(points: Array, regions: NDArray[np.str_], face: Face, outfit: Outfit) -
     return np.isin(regions, ("head", "face")) & (height > lowest)
 
 
-def paint(
-    points: Array, normals: Array, regions: NDArray[np.str_], rest_joints: Array, face: Face, outfit: Outfit
-) -> Array:
-    """Display RGB (N, 3) of surface points (N, 3) with unit normals (N, 3) of a T-posed person."""
+def paint(points: Array, regions: NDArray[np.str_], rest_joints: Array, face: Face, outfit: Outfit) -> Array:
+    """Albedo as shown, RGB (N, 3), of surface points (N, 3) of a T-posed person."""
     joints: dict[str, Array] = dict(zip(JOINT_NAMES, rest_joints, strict=True))
     scale = float(face.crown - points[:, 1].min()) / MAN_HEIGHT
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]

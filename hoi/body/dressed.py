@@ -1,4 +1,5 @@
-"""The files of the people in the package, `hoi/body/assets/*.npz`: dressed, textured, quantised to some 25 bytes a Gaussian.
+"""The files of the people in the package, `hoi/body/assets/*.npz`: dressed, textured, quantised to some 25 bytes a
+Gaussian.
 
     means       uint16 between `low` and `high` [m]      normals   int8, octahedral
     quaternions int8                                     openness  int8, octahedral, and its length as uint8
@@ -58,7 +59,9 @@ def save(person: Dressed, path: Path) -> None:
     length = np.linalg.norm(rows["openness"], axis=1)
     columns = {
         "means": _steps((rows["means"] - low) / (high - low), np.uint16),
-        "quaternions": np.rint(rows["quaternions"] / np.abs(rows["quaternions"]).max(1, keepdims=True) * 127).astype(np.int8),
+        "quaternions": np.rint(rows["quaternions"] / np.abs(rows["quaternions"]).max(1, keepdims=True) * 127).astype(
+            np.int8
+        ),
         "scales": _steps((logarithms - ends[0]) / (ends[1] - ends[0]), np.uint8),
         "opacities": _steps(rows["opacities"], np.uint8),
         "rgb": _steps(rows["rgb"], np.uint8),
@@ -69,7 +72,9 @@ def save(person: Dressed, path: Path) -> None:
         "weights": _steps(shares / shares.sum(1, keepdims=True), np.uint8),
     }
     columns = {name: np.ascontiguousarray(values.T) for name, values in columns.items()}  # packs better
-    np.savez_compressed(path, low=low, high=high, ends=ends, rest_joints=person.rest_joints.astype(np.float32), **columns)
+    np.savez_compressed(
+        path, low=low, high=high, ends=ends, rest_joints=person.rest_joints.astype(np.float32), **columns
+    )
 
 
 def load(name: str, file: IO[bytes]) -> Dressed:

@@ -1,5 +1,5 @@
-"""Heights on the built-in objects [m]: seams, gaps, pores. They bend the normals that light sees and darken what lies deep;
-particles, and with them the physics, stay where they are."""
+"""Heights on the built-in objects [m]: seams, gaps, pores. They bend the normals that light sees and darken what lies
+deep; particles, and with them the physics, stay where they are."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,8 @@ DEEP = 0.004
 
 
 def surface_of(relief: Relief | None, points: Array, frames: Array, footprints: Array, scale: float) -> Array:
-    """Normals and openness (N, 2, 3), see `hoi.data.GaussianCloud`, at points [m] with frames (tangent, tangent, normal).
+    """Normals and openness (N, 2, 3), see `hoi.data.GaussianCloud`, at points [m] with frames (tangent, tangent,
+    normal).
 
     Args:
         scale: of the object over its own size.
@@ -76,7 +77,9 @@ def soccer(points: Array, normals: Array) -> Array:
     icosahedron = trimesh.creation.icosahedron()
     pentagons, hexagons = np.asarray(icosahedron.vertices), np.asarray(icosahedron.triangles_center)
     # A direction lies in the face whose plane it meets first, as in the pattern.
-    faces = [n / np.linalg.norm(n, axis=1, keepdims=True) / far for n, far in ((pentagons, 2.32744), (hexagons, 2.26728))]
+    faces = [
+        n / np.linalg.norm(n, axis=1, keepdims=True) / far for n, far in ((pentagons, 2.32744), (hexagons, 2.26728))
+    ]
     directions = points / np.linalg.norm(points, axis=1, keepdims=True) @ TILT
     best = np.partition(directions @ np.concatenate(faces).T, -2, axis=1)
     return groove(best[:, -1] - best[:, -2], 0.012, 0.0025) + 0.0001 * noise(points, 0.006)

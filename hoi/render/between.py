@@ -1,8 +1,9 @@
 """A run between its frames, from what is recorded: poses by splines, flight exactly, deformation by its own rotation.
 
-The object's centre follows the cubic through both frames' places and velocities, which is exact in flight. Where the places
-do not fit the velocities something has struck it in between: it then goes on as before up to that moment and as after it from
-there. Around its centre it turns at an even rate, and what is not rotation goes evenly from frame to frame.
+The object's centre follows the cubic through both frames' places and velocities, which is exact in flight. Where the
+places do not fit the velocities something has struck it in between: it then goes on as before up to that moment and
+as after it from there. Around its centre it turns at an even rate, and what is not rotation goes evenly from frame to
+frame.
 """
 
 from dataclasses import replace
@@ -41,7 +42,8 @@ def at_frames(scene: Scene, state: State, frames: Array, fps: float) -> tuple[Sc
 
 
 def frames_at(count: int, fps: float, wanted: float) -> Array:
-    """The fractional frames that `count` frames at `fps` have when shown at a `wanted` rate; after the last it stays."""
+    """The fractional frames that `count` frames at `fps` have when shown at a `wanted` rate; after the last it
+    stays."""
     shown = max(1, round(count * wanted / fps))
     return np.minimum(np.arange(shown) * fps / wanted, count - 1)
 

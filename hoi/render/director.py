@@ -1,10 +1,11 @@
-"""The camera of the action: where it stands is chosen by what it shows at the contact, and it moves no more than is needed.
+"""The camera of the action: where it stands is chosen by what it shows at the contact, and it moves no more than is
+needed.
 
-Many directions are tried. From each the camera stands where the whole action is in the picture: the person all the time, the
-object for nearly all of it. One in whose picture the person would be small moves along: at each moment it shows what happens
-shortly before and after, smoothed. Each is judged by how large the person is at t_c, how much of the striking limb and of the
-object around the contact can be seen then, and how fast it moves. What leaves fast is thus seen from where it leaves into
-the depth of the picture.
+Many directions are tried. From each the camera stands where the whole action is in the picture: the person all the
+time, the object for nearly all of it. One in whose picture the person would be small moves along: at each moment it
+shows what happens shortly before and after, smoothed. Each is judged by how large the person is at t_c, how much of
+the striking limb and of the object around the contact can be seen then, and how fast it moves. What leaves fast is
+thus seen from where it leaves into the depth of the picture.
 """
 
 import math

@@ -13,7 +13,7 @@ from hoi.render.cameras import ACTION, view
 from hoi.render.director import directed
 from hoi.render.ground import Backdrop, Shadow, beams, cast
 from hoi.render.light import lit, relit
-from hoi.render.look import Look
+from hoi.render.look import USUAL, Look
 from hoi.render.rasterise import render_frames
 from hoi.render.replay import Replay
 from hoi.render.shadows import key_light_left
@@ -21,8 +21,8 @@ from hoi.render.splats import Splats
 
 
 def cameras_of(replay: Replay, name: str, width: int, height: int) -> list[Camera]:
-    """The camera of each frame, by the names in `hoi.render.cameras.VIEWS`, or of the action; one that stands is the same
-    object in all.
+    """The camera of each frame, by the names in `hoi.render.cameras.VIEWS`, or of the action; one that stands is the
+    same object in all.
 
     Raises:
         InputError: as `hoi.render.cameras.view`.
@@ -37,7 +37,7 @@ def film(
     replay: Replay,
     cameras: Sequence[Camera],
     *,
-    look: Look = Look(),
+    look: Look = USUAL,
     frames: Iterable[int] | None = None,
     sh_degree: int | None = None,
     backend: Backend = "taichi",
@@ -69,12 +69,13 @@ def lit_frames(replay: Replay, frames: Iterable[int], look: Look) -> Iterator[li
     for frame in frames:
         parts = replay.parts(frame)
         if len(before) != len(parts) or any(one is not other for one, other in zip(parts, before, strict=True)):
-            before, seen = parts, _lit(replay, parts, look)
+            before, seen = parts, lit_at(replay, parts, look)
         yield seen
 
 
 @torch.no_grad()
-def _lit(replay: Replay, parts: Sequence[Splats], look: Look) -> list[Splats]:
+def lit_at(replay: Replay, parts: Sequence[Splats], look: Look) -> list[Splats]:
+    """The parts of one frame of a replay as they are seen."""
     light, left = look.light, [None] * len(parts)
     if light is not None and look.shadows:
         left = key_light_left(parts, light.direction)
@@ -135,7 +136,9 @@ def _backdrops(
             parts, before = replay.parts(frame), parts
             known = {id(part) for part in before}
             shadows = {
-                id(part): shadows[id(part)] if id(part) in known else tuple(s for beam in lights for s in cast(part, beam))
+                id(part): shadows[id(part)]
+                if id(part) in known
+                else tuple(s for beam in lights for s in cast(part, beam))
                 for part in parts
             }
         yield backdrop([shadow for group in shadows.values() for shadow in group])

@@ -59,8 +59,8 @@ class Beam:
 
 
 def beams(light: Light | None) -> tuple[Beam, ...]:
-    """The lights that shadows are cast by: the sky and, in a light, its key light; what that gives the floor is shown by
-    the root of what is left."""
+    """The lights that shadows are cast by: the sky and, in a light, its key light; what that gives the floor is shown
+    by the root of what is left."""
     if light is None:
         return (Beam(),)
     key = light.key * light.direction[2]
@@ -155,8 +155,9 @@ class Backdrop:
 def cast(splats: Splats, beam: Beam = Beam()) -> tuple[Shadow, ...]:
     """The shadows of the Gaussians on the floor z = 0, to be added up: one a softness, none where nothing is above it.
 
-    In a light from aside each falls along it, as if the Gaussian stood straight above that place. A Gaussian's optical thickness falls on its footprint, the horizontal block of its covariance. Of all that is about
-    equally high the share of the light that is gone is 1 - exp(-thickness), blurred by the height.
+    In a light from aside each falls along it, as if the Gaussian stood straight above that place. A Gaussian's
+    optical thickness falls on its footprint, the horizontal block of its covariance. Of all that is about equally
+    high the share of the light that is gone is 1 - exp(-thickness), blurred by the height.
     """
     step = max(1, len(splats) // _CASTERS)
     means, sigma, opacities = (t[::step].float() for t in (splats.means, splats.covariances, splats.opacities))
@@ -230,7 +231,9 @@ def _rays(camera: Camera, device: torch.device | str) -> Tensor:
 
 def _sky(rays: Tensor, ground: Ground) -> Tensor:
     """Lighter or bluer upwards, (height, width, 3)."""
-    low, high = ((HORIZON,) * 3, (ZENITH,) * 3) if ground is Ground.plain else (PLACES[ground].horizon, PLACES[ground].zenith)
+    low, high = (
+        ((HORIZON,) * 3, (ZENITH,) * 3) if ground is Ground.plain else (PLACES[ground].horizon, PLACES[ground].zenith)
+    )
     return _between(low, high, _smooth_step(rays[2], 0.0, 0.5))
 
 

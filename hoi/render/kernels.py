@@ -7,8 +7,8 @@ Conventions are those of 3D Gaussian splatting (Kerbl et al. 2023) as gsplat 1.5
                                               picture
     p = d^T S^-1 d / 2 = (P d_x + Q d_y)^2 + (R d_y)^2    d from the splat's centre to the pixel's, which is at + 0.5
     alpha = min(0.999, o exp(-p))             left out where o exp(-p) < 1/255
-    o = sqrt(det(S - 0.3 I) / det S) opacity  if antialiased (Yu et al. 2024, Mip-Splatting): what the 0.3 px^2 widen is as
-                                              much fainter; the opacity itself if not
+    o = sqrt(det(S - 0.3 I) / det S) opacity  if antialiased (Yu et al. 2024, Mip-Splatting): fainter by as much as the
+                                              0.3 px^2 widen it; the opacity itself if not
     w_i = alpha_i T_i,  T_i+1 = T_i (1 - alpha_i)   front to back; a pixel is full before the splat that would take T to
                                               1e-4 or less
 
@@ -29,7 +29,8 @@ from hoi.compute import CPU_TASK, ti
 DILATION = 0.3
 """Added to the variances of a splat [px^2]."""
 LEAST_SHARE = 2.5e-5
-"""Of det(S - 0.3 I) in det S that antialiasing takes into account, as 3DGS has it: below it the root has no useful slope."""
+"""Of det(S - 0.3 I) in det S that antialiasing takes into account, as 3DGS has it: below it the root has no useful
+slope."""
 MAX_ALPHA = 0.999
 """Of a Gaussian in a pixel, so that what is behind it still counts."""
 X, Y, P, Q, R, OPACITY, END, RED, GREEN, BLUE, DEPTH = range(11)

@@ -1,13 +1,15 @@
-"""Light on Gaussians that know the surface they lie on: a sky, the ground's bounce and a soft key light, frame by frame.
+"""Light on Gaussians that know the surface they lie on: a sky, the ground's bounce and a soft key light, frame by
+frame.
 
     shown = sRGB(albedo (A E_sky(m) + S V(n, b) K(n)))
 
-n: unit normal; b: mean direction of open sky, as long as its share a (`hoi.data.GaussianCloud`); m: half-way between both,
-which is where the light that still arrives comes from. E_sky is the irradiance of a sky that brightens upwards over a ground
-that sends some back, in closed form; A the ambient share, with what surfaces of the albedo's colour throw back into their own
-creases (Jimenez et al. 2016); K the key light's cosine, softened by its size; V how much of the key light the cone of open
-sky around b lets in (Oat and Sander 2007); S what others leave of it (`hoi.render.shadows`), without a gradient. All else is
-differentiable in n, b and the albedo. Light adds up linearly; sRGB as in IEC 61966-2-1.
+n: unit normal; b: mean direction of open sky, as long as its share a (`hoi.data.GaussianCloud`); m: half-way between
+both, which is where the light that still arrives comes from. E_sky is the irradiance of a sky that brightens upwards
+over a ground that sends some back, in closed form; A the ambient share, with what surfaces of the albedo's colour
+throw back into their own creases (Jimenez et al. 2016); K the key light's cosine, softened by its size; V how much of
+the key light the cone of open sky around b lets in (Oat and Sander 2007); S what others leave of it
+(`hoi.render.shadows`), without a gradient. All else is differentiable in n, b and the albedo. Light adds up linearly;
+sRGB as in IEC 61966-2-1.
 """
 
 import math
@@ -58,14 +60,16 @@ DAY = Light()
 def sky(light: Light, normals: Tensor) -> Tensor:
     """E_sky: cosine-weighted mean radiance over the hemisphere about unit normals (..., 3), RGB (..., 3).
 
-    Radiance is horizon + (zenith - horizon) d_z above, ground below. With the angle t from n to straight up, the constant's
-    share is (1 + cos t) / 2, and that of d_z is 2 / (3 pi) (sin t + (pi - t) cos t).
+    Radiance is horizon + (zenith - horizon) d_z above, ground below. With the angle t from n to straight up, the
+    constant's share is (1 + cos t) / 2, and that of d_z is 2 / (3 pi) (sin t + (pi - t) cos t).
     """
     cosine = normals[..., 2:].clamp(-1 + 1e-6, 1 - 1e-6)  # the slopes of sin t and of t would be endless beyond
     rise = 0.5 * (1 + cosine)
     slope = 2 / (3 * math.pi) * ((1 - cosine**2).sqrt() + (math.pi - cosine.acos()) * cosine)
     above = light.horizon * rise + (light.zenith - light.horizon) * slope
-    return above * normals.new_tensor(light.sky_tint) + light.ground * (1 - rise) * normals.new_tensor(light.ground_tint)
+    return above * normals.new_tensor(light.sky_tint) + light.ground * (1 - rise) * normals.new_tensor(
+        light.ground_tint
+    )
 
 
 def irradiance(light: Light, surface: Tensor, albedo: Tensor, shadow: Tensor | None = None) -> Tensor:

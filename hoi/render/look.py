@@ -25,5 +25,6 @@ class Look:
         return Settings(antialiased=self.antialiased)
 
 
+USUAL = Look()
 BARE = Look(light=None, antialiased=False, ground=Ground.plain)
 """Albedo on a plain floor, by 3DGS's own conventions."""

@@ -13,11 +13,11 @@ from hoi.errors import InputError, about
 from hoi.render import Backend
 from hoi.render.cameras import ACTION, TOP_UP, VIEWS, circle, frame_action
 from hoi.render.cameras import view as view_of
+from hoi.render.director import contact_frame
 from hoi.render.encode import check_fps, encode, write_mp4, write_png
 from hoi.render.film import cameras_of, choose_frames, film
-from hoi.render.director import contact_frame
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
-from hoi.render.look import Look
+from hoi.render.look import USUAL, Look
 from hoi.render.replay import Replay, replay
 
 TURN = 100
@@ -123,7 +123,9 @@ def make_panels(
             shown, frames = shown.retimed(moments, clock.fps), range(len(moments))
         for name in names:
             words = [label] * (len(replays) > 1) + [name.replace("_", " ")] * (len(names) > 1)
-            panels.append(Panel(shown, frames, _cameras(name, shown, frames, points, size, len(replays) > 1), "  ·  ".join(words)))
+            panels.append(
+                Panel(shown, frames, _cameras(name, shown, frames, points, size, len(replays) > 1), "  ·  ".join(words))
+            )
     return panels
 
 
@@ -153,7 +155,7 @@ class Drawing:
     sh_degree: int | None = None
     backend: Backend = "taichi"
     device: str = "cpu"
-    look: Look = Look()
+    look: Look = USUAL
 
 
 def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pixels]]:

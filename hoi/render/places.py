@@ -1,5 +1,5 @@
-"""Grounds that read as a place, drawn by rule: mown grass, a court's coat, a gym's planks. Their pattern has the size of the
-real thing, so that lengths can be read off a picture."""
+"""Grounds that read as a place, drawn by rule: mown grass, a court's coat, a gym's planks. Their pattern has the size
+of the real thing, so that lengths can be read off a picture."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -36,7 +36,8 @@ class Settings:
     exact: bool = False
     """The exponential function to the last digit rather than to 4e-5. Always in float64."""
     antialiased: bool = False
-    """Make up for the 0.3 px^2 that each splat is widened by, in its opacity: small ones far away stay as thin as they are."""
+    """Make up for the 0.3 px^2 that each splat is widened by, in its opacity: small ones far away stay as thin as
+    they are."""
     by_pixel: bool | None = None
     """Blend pixel by pixel rather than row by row; None: on a GPU."""
 
@@ -224,8 +225,8 @@ def _project(
             array.detach().contiguous() for array in (means, covariances, opacities, colours)
         )
         kernels.project(
-            settings.antialiased, means, covariances, opacities, colours, pose, lens, settings.least_alpha, camera.width,
-            camera.height, splats, boxes,
+            settings.antialiased, means, covariances, opacities, colours, pose, lens, settings.least_alpha,
+            camera.width, camera.height, splats, boxes,
         )  # fmt: skip
     return _Flat(splats, boxes)
 

@@ -184,7 +184,9 @@ class Replay:
     Frames may be asked for in any order; in sequence they cost least.
     """
 
-    def __init__(self, scene: Scene, state: State, device: torch.device | str = "cpu", *, relight: bool = False) -> None:
+    def __init__(
+        self, scene: Scene, state: State, device: torch.device | str = "cpu", *, relight: bool = False
+    ) -> None:
         """
         Args:
             relight: captured clouds get the surface that their flattest axes tell, so that light can be put on them.

@@ -1,8 +1,8 @@
 """What Gaussians leave of the key light for each other: a soft shadow map, made anew each frame.
 
-Seen from the light, each cell of a grid holds how near to the light its foremost Gaussian is. What lies further off than that
-by more than a limb's skin is in its shadow; the share of the cells around that are in front of it makes soft edges. The map
-knows no gradient: a prior that moves the person sees no cast shadows.
+Seen from the light, each cell of a grid holds how near to the light its foremost Gaussian is. What lies further off
+than that by more than a limb's skin is in its shadow; the share of the cells around that are in front of it makes
+soft edges. The map knows no gradient: a prior that moves the person sees no cast shadows.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,8 @@ def key_light_left(parts: Sequence[Splats], direction: Sequence[float]) -> list[
 
 
 def _cells(places: Tensor, cell: float, origin: float, columns: int, rows: int) -> tuple[Tensor, Tensor]:
-    """The cells that places (N, 2) [m] lie in, (N,), with a neighbour to the right and below each, and how far in (N, 2)."""
+    """The cells that places (N, 2) [m] lie in, (N,), with a neighbour to the right and below each, and how far in (N,
+    2)."""
     steps = places / cell + origin
     whole = steps.floor()
     x, y = whole.unbind(1)

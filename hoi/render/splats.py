@@ -65,7 +65,8 @@ def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
 
 
 def join(parts: Sequence[Splats]) -> Splats:
-    """All Gaussians of the parts as one; harmonics that a part lacks are zero. Surfaces are left out: light comes first."""
+    """All Gaussians of the parts as one; harmonics that a part lacks are zero. Surfaces are left out: light comes
+    first."""
     if len(parts) == 1:
         return parts[0]
     bands = max(part.sh.shape[1] for part in parts)

@@ -54,7 +54,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--frames", type=_frames, metavar="A:B", help="only these, as Python slices; --frames=-10: are the last ten")
     add("--speed", type=float, default=1.0, help="1 is real time, 0.25 slow motion (default: 1)")
     add("--fps", type=float, help="pictures a second, with moments between the frames (default: each frame once)")
-    add("--slow", type=float, default=1.0, metavar="4", help="slow motion around the contact, so many times (at 60 fps)")
+    add(
+        "--slow", type=float, default=1.0, metavar="4", help="slow motion around the contact, so many times (at 60 fps)"
+    )
     add("--no-light", action="store_true", help="albedo alone, as people and objects of the package are coloured")
     add("--no-shadows", action="store_true", help="person and object keep no key light from each other and the ground")
     add("--relight", action="store_true", help="light on captured Gaussians too, as a gain that keeps their mean")
@@ -105,8 +107,12 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
-    runs, replays = zip(*(side_by_side.load(path, options.device, relight=options.relight) for path in options.records), strict=True)
-    clock = side_by_side.make_clock(replays, options.frames or slice(None), options.speed, options.freeze, options.fps, options.slow)
+    runs, replays = zip(
+        *(side_by_side.load(path, options.device, relight=options.relight) for path in options.records), strict=True
+    )
+    clock = side_by_side.make_clock(
+        replays, options.frames or slice(None), options.speed, options.freeze, options.fps, options.slow
+    )
     labels = side_by_side.labels_of(runs, options.records)
     panels = side_by_side.make_panels(replays, labels, options.view, options.size, clock)
     video = options.out

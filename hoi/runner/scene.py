@@ -57,6 +57,7 @@ def load_body(conf: HumanConf, seed: int) -> Body:
         from hoi.importers.smpl import load_smpl
 
         outfit = conf.person or "man"
+        assert conf.gaussians is not None  # checked by `validate`
         with under("human", "person"):
             return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
     from hoi.body.avatar import load_avatar

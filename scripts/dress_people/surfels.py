@@ -52,7 +52,9 @@ def sample(person: Base, parts: list[Part], count: int, rng: np.random.Generator
     normals = [smooth_normals(part, part.vertices) for part in parts]
     seen = [_seen(scene, part, own, rng) for part, own in zip(parts, normals, strict=True)]
     weights = [_density(part, rng) for part in parts]
-    mass = np.array([(_areas(part) * weight)[keep].sum() for part, weight, keep in zip(parts, weights, seen, strict=True)])
+    mass = np.array(
+        [(_areas(part) * weight)[keep].sum() for part, weight, keep in zip(parts, weights, seen, strict=True)]
+    )
     # A fifth of the samples falls to what hides below another layer.
     counts = np.maximum(1.18 * count * mass / mass.sum(), 30).astype(int)
     rows = [_of_part(scene, *each, rng) for each in zip(parts, normals, seen, weights, counts, strict=True)]
@@ -85,12 +87,11 @@ def _of_part(
     if part.kind in ("skin", "cloth", "shoe"):
         above = scene.hits(points + normal * 1e-3, normal)
         keep &= ~((above["primID"] >= 0) & (above["tfar"] < THICKEST_LAYER) & (open_share < 0.25))
-    if part.kind == "shoe":
-        keep &= ~_socks(scene.parts, part, points, rng)
     row = {
         "points": points, "normals": normal, "shading": shading, "along": along, "rgb": rgb, "alpha": alpha,
         "spacing": spacing, "openness": openness, "edge": edge, "edge_direction": edge_direction,
-        "weights": np.einsum("nc,nck->nk", bary, part.weights[part.faces[face]]), "kind": np.full(count, part.kind, "<U5"),
+        "weights": np.einsum("nc,nck->nk", bary, part.weights[part.faces[face]]),
+        "kind": np.full(count, part.kind, "<U5"),
     }  # fmt: skip
     return {key: values[keep] for key, values in row.items()}
 
@@ -132,7 +133,9 @@ def _aligned(along: Array, normals: Array) -> Array:
     along /= np.linalg.norm(along, axis=1, keepdims=True) + 1e-12
     axes = np.stack([along, np.cross(normals, along), normals], 2)
     broken = np.abs(np.linalg.det(axes) - 1) > 1e-3
-    axes[broken] = Rotation.from_quat(tilt_quaternions(normals[broken]), scalar_first=True).as_matrix() if broken.any() else 0
+    axes[broken] = (
+        Rotation.from_quat(tilt_quaternions(normals[broken]), scalar_first=True).as_matrix() if broken.any() else 0
+    )
     return Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
@@ -255,16 +258,3 @@ def _edge(part: Part, points: Array) -> tuple[Array, Array]:
     share = (np.arange(len(row)) - np.repeat(np.cumsum(steps) - steps, steps) + 0.5) / steps[row]
     distance, near = KDTree(ends[row, 0] + share[:, None] * across[row]).query(points)
     return distance, (across / (length[:, None] + 1e-12))[row[near]]
-
-
-def _socks(parts: list[Part], shoe: Part, points: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which points of a shoe's socks trousers hide, (N,)."""
-    hidden = np.zeros(len(points), bool)
-    for cloth in (part for part in parts if part.kind == "cloth"):
-        bary = rng.dirichlet((1, 1, 1), (len(cloth.faces), 30))
-        inside = np.einsum("nsc,ncd->nsd", bary, cloth.vertices[cloth.faces]).reshape(-1, 3)
-        inside = inside[inside[:, 1] < shoe.vertices[:, 1].max() + 0.05]
-        if len(inside):
-            distance, near = KDTree(inside).query(points)
-            hidden |= (distance < 0.02) & (_edge(cloth, inside)[0][near] > 0.006)
-    return hidden

@@ -1,4 +1,5 @@
-"""Between the frames: flight is exact, a blow comes when it came, rigid turns stay rigid, and the frames themselves stay."""
+"""Between the frames: flight is exact, a blow comes when it came, rigid turns stay rigid, and the frames themselves
+stay."""
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ def scene_of(com, velocity, turns=None, stretch=None) -> tuple[Scene, ObjectTraj
     turns = np.tile(np.eye(3), (len(com), 1, 1)) if turns is None else turns
     gradient = turns if stretch is None else turns @ stretch
     positions = (com[:, None] + ball @ gradient.transpose(0, 2, 1)).astype(np.float32)
-    thing = SceneObject("ball", cloud_of(positions[0].astype(float), 0.01), positions[0], np.ones(80), STUFF, np.zeros(3),
+    thing = SceneObject("ball", cloud_of(positions[0].astype(float), 0.01), positions[0], np.ones(80),
+                        STUFF, np.zeros(3),
                         np.zeros(3), 0.2)  # fmt: skip
     fields = np.repeat(gradient[:, None], 80, 1).astype(np.float32)
     trajectory = ObjectTrajectory(positions, com, velocity, np.zeros((len(com), 3)), fields, ("mpm",) * len(com))
@@ -73,7 +75,9 @@ def test_poses_pass_through_theirs_without_a_kink():
     body = load_person("man", 200)
     swing = np.cumsum(0.1 * rng.normal(size=(FRAMES, 23, 3)), 0).astype(np.float32)
     turn = Rotation.from_rotvec(np.linspace(0, 3, FRAMES)[:, None] * [0, 0, 1]).as_matrix()[:, :2].reshape(-1, 6)
-    motion = Motion(np.cumsum(0.1 * rng.normal(size=(FRAMES, 3)), 0).astype(np.float32), turn.astype(np.float32), swing, FPS)
+    motion = Motion(
+        np.cumsum(0.1 * rng.normal(size=(FRAMES, 3)), 0).astype(np.float32), turn.astype(np.float32), swing, FPS
+    )
     scene = Scene("s", body, None, "", FRAMES, FPS, G)
     fine = np.arange(0, FRAMES - 1 + 1e-9, 0.05)
     _, state = at_frames(scene, State(motion), fine, 400.0)

@@ -32,7 +32,8 @@ def punch(direction=(0.0, 1.0, 0.0), speed=12.0, wall=False) -> Replay:
     velocity = np.gradient(com, axis=0) * FPS
     cloud = cloud_of(positions[0].astype(np.float64), 0.012)
     thing = SceneObject("ball", cloud, positions[0], np.full(len(ball), 1e-5), RUBBER, np.zeros(3), np.zeros(3), 0.22)
-    touch = Contact(float(MEET), 22, 1.0, start + 0.05 * direction, direction, direction, np.zeros(3), 2.0, speed * direction,
+    touch = Contact(float(MEET), 22, 1.0, start + 0.05 * direction, direction, direction, np.zeros(3), 2.0,
+                    speed * direction,
                     direction, 0.0)  # fmt: skip
     scene = Scene("punch", fist(), thing, "", FRAMES, FPS, np.array([0, 0, -9.81]))
     search = ContactSearch((touch,), 0.0, MEET, 22)

@@ -7,7 +7,7 @@ import pytest
 import roma
 import torch
 from bodies import cloud_of, splats_of
-from render_scenes import camera, random_splats, weighed
+from render_scenes import camera, weighed
 
 from hoi.data import Body
 from hoi.gaussians import SH_C0, fibonacci_sphere, transform, with_surface
@@ -119,7 +119,9 @@ def test_relighting_a_capture_keeps_its_mean():
     rng = np.random.default_rng(1)
     cloud = cloud_of(fibonacci_sphere(800), 0.03, rgb=rng.uniform(0.3, 0.6, (800, 3)))
     flat = replace(cloud, scales=cloud.scales * np.float32([1, 1, 1]))
-    with_normals = with_surface(replace(flat, quaternions=_facing(flat.means), scales=flat.scales * np.float32([1, 1, 0.1])))
+    with_normals = with_surface(
+        replace(flat, quaternions=_facing(flat.means), scales=flat.scales * np.float32([1, 1, 0.1]))
+    )
     np.testing.assert_allclose(with_normals.surface[:, 0], flat.means, atol=2e-3)
     splats = splats_of(flat.means, 0.03, sh=torch.as_tensor(flat.sh))
     again = relit(splats, DAY, torch.as_tensor(with_normals.surface[:, 0]).float())
@@ -163,7 +165,9 @@ def test_a_ground_repeats_and_does_not_shimmer(ground: Ground):
     places = torch.as_tensor(np.random.default_rng(0).uniform(-5, 5, (2, 20, 30)), dtype=torch.float32)
     near = torch.full((20, 30), 0.004)
     np.testing.assert_allclose(
-        pattern_at(ground, places, near), pattern_at(ground, places + size * torch.tensor([2.0, -1.0])[:, None, None], near), atol=5e-3
+        pattern_at(ground, places, near),
+        pattern_at(ground, places + size * torch.tensor([2.0, -1.0])[:, None, None], near),
+        atol=5e-3,
     )
     assert pattern_at(ground, places, near).std() > 0.05
     far = pattern_at(ground, places, torch.full((20, 30), 20 * size))

@@ -274,7 +274,10 @@ def test_parts_that_are_absent(demo, tmp_path):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (["--view", "left"], "--view left: allowed are action, front, side, three_quarter, back, top, follow, turntable, all"),
+        (
+            ["--view", "left"],
+            "--view left: allowed are action, front, side, three_quarter, back, top, follow, turntable, all",
+        ),
         (["--size", "97x64"], "--size 97x64: even numbers from 16 to 8192 are allowed"),
         (["--size", "8x8"], "--size 8x8: even numbers from 16 to 8192 are allowed"),
         (["--frames", "12:"], "--frames: none of the frames 0 to 11 is left"),

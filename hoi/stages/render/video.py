@@ -66,8 +66,8 @@ class Video(Renderer):
     ground: Ground | None = None
     """What the ground looks like; null is the scene's setting."""
     fps: float | None = None
-    """Pictures a second of run.mp4, a multiple of the scene's: the moments between its frames are interpolated. The record's
-    own video keeps a picture a frame. null is the scene's."""
+    """Pictures a second of run.mp4, a multiple of the scene's: the moments between its frames are interpolated. The
+    record's own video keeps a picture a frame. null is the scene's."""
 
     @property
     def compiles(self) -> bool:
