@@ -206,7 +206,7 @@ class _Rasterise(torch.autograd.Function):
         )  # fmt: skip
 
 
-def _flat(part: Splats, camera: Camera, sh_degree: int | None, settings: Settings) -> _Flat:
+def _flat(part: Splats, camera: Camera, sh_degree: int | None, settings: Settings = Settings()) -> _Flat:
     check(part)
     colours = shade(part, _eye(camera, part.means), sh_degree)
     _start(part.means)
