@@ -238,8 +238,10 @@ def _checked(cloud: GaussianCloud) -> GaussianCloud:
     if count == 0:
         raise InputError("cloud: holds no Gaussian")
     shapes = {"means": [(3,)], "quaternions": [(4,)], "scales": [(3,)], "opacities": [()]}
-    shapes["sh"] = [((degree + 1) ** 2, 3) for degree in range(4)]
+    shapes |= {"sh": [((degree + 1) ** 2, 3) for degree in range(4)], "surface": [(2, 3)]}
     for name, array in vars(cloud).items():
+        if array is None:
+            continue
         allowed = [(count, *shape) for shape in shapes[name]]
         if np.shape(array) not in allowed:
             raise InputError(f"cloud.{name}: shape {np.shape(array)}; must be {' or '.join(map(str, allowed))}")

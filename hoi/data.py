@@ -37,6 +37,10 @@ class GaussianCloud:
     """Opacity in [0, 1], shape (N,)."""
     sh: Array
     """Spherical-harmonics colour coefficients, shape (N, K, 3), K in {1, 4, 9, 16}; see `hoi.gaussians`."""
+    surface: Array | None = None
+    """Of the surface that each lies on: its unit normal, and the mean direction of what of the sky is open, as long
+    as that share, both in the frame of `means`, shape (N, 2, 3). Colours are albedo then, and light is computed
+    (`hoi.render.light`); None: the light is in the colours, as it is in captures."""
 
     def __len__(self) -> int:
         return len(self.means)
@@ -182,6 +186,8 @@ class Scene:
     """[m/s^2], shape (3,)."""
     planes: tuple[Plane, ...] = ()
     """What the object cannot enter: the ground first, then walls."""
+    setting: str = "plain"
+    """What the ground looks like, see `hoi.render.places`."""
 
     @property
     def thing(self) -> SceneObject:

@@ -33,6 +33,8 @@ PEOPLE = {
     "athlete": {"gender": 0.0, "age": 0.67, "muscle": 0.95, "weight": 0.5, "height": 0.40, "proportions": 0.5},
     "heavy": {"gender": 0.0, "age": 0.67, "muscle": 0.25, "weight": 1.0, "height": 0.35, "proportions": 0.5},
     "senior": {"gender": 1.0, "age": 1.0, "muscle": 0.5, "weight": 0.5, "height": 0.35, "proportions": 0.5},
+    "runner": {"gender": 1.0, "age": 0.67, "muscle": 0.75, "weight": 0.4, "height": 0.45, "proportions": 0.6},
+    "gentleman": {"gender": 0.0, "age": 0.8, "muscle": 0.5, "weight": 0.55, "height": 0.42, "proportions": 0.5},
 }
 """anny's phenotypes, each in [0, 1]: gender 0 is male; age 1/3 a child, 2/3 a young adult, 1 old."""
 

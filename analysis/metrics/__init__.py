@@ -5,10 +5,10 @@ particles in the same way for every system; what a run says of itself is used on
 (t_c, j_c, V_post, seconds). A number that a run does not define is NaN, never 0.
 """
 
-from . import contact, cost, evaluator, flight, penetration, person
+from . import camera, contact, cost, evaluator, flight, penetration, person
 from .metric import Metric
 
-CONTACT, OBJECT, PERSON, COST = "Contact", "Object", "Person", "Cost"
+CONTACT, OBJECT, PERSON, CAMERA, COST = "Contact", "Object", "Person", "Camera", "Cost"
 
 _ALL = (
     Metric("contact_any", "contact, any limb", "-", "higher", contact.touched, CONTACT),
@@ -38,6 +38,9 @@ _ALL = (
     Metric("joint_limits", "beyond joint limits", "-", "lower", person.joint_limits, PERSON),
     Metric("feet_depth", "feet in ground, deepest", "m", "lower", penetration.feet_ground_depth, PERSON),
     Metric("feet_volume", "feet in ground, volume", "L", "lower", penetration.feet_ground_volume, PERSON),
+    Metric("framed", "limb and object in the picture", "-", "higher", camera.framed, CAMERA),
+    Metric("contact_in_picture", "contact in the picture at t_c", "-", "higher", camera.contact_in_picture, CAMERA),
+    Metric("contact_seen", "contact not hidden at t_c", "-", "higher", camera.contact_seen, CAMERA),
     Metric("seconds", "run", "s", "lower", cost.seconds, COST),
     Metric("memory", "peak memory", "MB", "lower", cost.peak_memory, COST),
     Metric("left_out", "MPM steps left out", "-", "higher", cost.left_out, COST),
@@ -49,5 +52,5 @@ _ALL = (
 
 METRICS: dict[str, Metric] = {metric.key: metric for metric in _ALL}
 
-GROUPS = (CONTACT, OBJECT, PERSON, COST)
+GROUPS = (CONTACT, OBJECT, PERSON, CAMERA, COST)
 """The tables that the metrics stand in."""

@@ -45,7 +45,7 @@ def load_avatar(ply_path: Path | str, skinning_path: Path | str | None = None) -
     skinning_path = folder / SKINNING_NAME if skinning_path is None else Path(skinning_path)
     cloud = read_gaussians(ply_path)
     for key, array in vars(cloud).items():
-        if not np.isfinite(array).all():
+        if array is not None and not np.isfinite(array).all():
             raise InputError(f"{ply_path}: {key}: holds values that are not finite")
     skinning = _read_npz(skinning_path)
 

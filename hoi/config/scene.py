@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from omegaconf import MISSING
 
 from hoi.config.choices import Approach, PlaneContact
+from hoi.render import Ground
 
 
 @dataclass
@@ -57,6 +58,8 @@ class SceneConf:
     """Whether the half-space z < 0 is solid, with the material's ground_friction."""
     planes: list[PlaneConf] | None = None
     """Walls beside the ground."""
+    setting: Ground = Ground.gym
+    """What the ground looks like in pictures."""
     placement: PlacementConf = field(default_factory=PlacementConf)
     approach: Approach = Approach.step
     """The person is placed and turned such that the strike ends at the object, and steps in (step) or stays where they

@@ -92,7 +92,9 @@ def validate(config: Config) -> list[str]:
     require(config.seeds >= 1, "seeds", config.seeds, "1 or more")
     require(config.threads is None or config.threads >= 1, "threads", config.threads, "1 or more, or null")
     require(config.human_points >= 100, "human_points", config.human_points, "100 or more")
-    require(config.human.gaussians >= 1000, "human.gaussians", config.human.gaussians, "1000 or more")
+    count, given = config.human.gaussians, config.human.kind is HumanKind.smpl
+    rule = "1000 or more" if given else "1000 or more, or null for all there are"
+    require(not given if count is None else count >= 1000, "human.gaussians", count, rule)
     if config.human.kind is HumanKind.avatar:
         require(
             config.human.path is not None,

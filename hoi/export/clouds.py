@@ -4,7 +4,7 @@ Rows are those of the record in every frame, the person's first, so that a Gauss
 `.splat` hold is said in `hoi.gaussians`, which also reads all of them back.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from hoi.export.axes import AXES
 from hoi.files import whole_folder
 from hoi.gaussians.khr import write_khr
 from hoi.objects.carrying import carried_by
+from hoi.render.light import lit_cloud
 from hoi.render.shown import scene_of
 
 FRAME = "frame_{:04d}"
@@ -55,7 +56,7 @@ def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> Non
 
 
 def clouds(run: Run) -> Iterator[GaussianCloud]:
-    """Person and object, whichever the run has, in the world, frame by frame.
+    """Person and object, whichever the run has, in the world, frame by frame, in the light of a film without shadows.
 
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
@@ -65,7 +66,7 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
 
 
 def moving_parts(run: Run) -> dict[str, Iterator[GaussianCloud]]:
-    """ "person" and "object", whichever the run has, each frame by frame in the world.
+    """ "person" and "object", whichever the run has, each frame by frame in the world and in the light of a film.
 
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
@@ -73,18 +74,19 @@ def moving_parts(run: Run) -> dict[str, Iterator[GaussianCloud]]:
     scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
     parts: dict[str, Iterator[GaussianCloud]] = {}
     if motion is not None:
-        parts["person"] = _person(scene.body, motion)
+        parts["person"] = map(lit_cloud, _person(scene.body, motion))
     if trajectory is not None:
-        parts["object"] = _thing(scene.thing, trajectory)
+        parts["object"] = map(lit_cloud, _thing(scene.thing, trajectory))
     return parts
 
 
-def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
+def join(parts: Sequence[GaussianCloud]) -> GaussianCloud:
     """All Gaussians as one cloud; harmonics that a part lacks are zero."""
     bands = max(part.sh.shape[1] for part in parts)
     sh = [np.pad(part.sh, ((0, 0), (0, bands - part.sh.shape[1]), (0, 0))) for part in parts]
     padded = [replace(part, sh=harmonics) for part, harmonics in zip(parts, sh, strict=True)]
-    return GaussianCloud(*map(np.concatenate, zip(*(fields_of(part).values() for part in padded), strict=True)))
+    columns = (fields_of(replace(part, surface=None)).values() for part in padded)
+    return GaussianCloud(*(np.concatenate(column) for column in zip(*columns, strict=True) if column[0] is not None))
 
 
 def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:

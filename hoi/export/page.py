@@ -1,8 +1,9 @@
 """A run as one HTML file that plays it: Gaussians, bones, contacts, trail, ground. No server, no network.
 
 The page (`page.html`) draws with WebGL 2. In it lies, as gzip in base64, one block of bytes: for each part (person,
-object) colours RGBA (N, 4) u1 and radii r_i [m] (N,) f4, and for each frame origins (T, 3) f4, positions x and factors
-L of the covariances as steps from the frame before, in planes of one byte, so that they pack well:
+object) opacities (N,) u1 and radii r_i [m] (N,) f4, and for each frame origins (T, 3) f4, positions x, factors L of the
+covariances and colours in that frame's light as steps from the frame before, in planes of one byte, so that they pack
+well:
 
     mean_i = origin + STEP x_i,  x_i 3 u2,       Sigma_i = (r_i / 127)^2 L_i L_i^T,  L_i 6 i1, lower triangle.
 """
@@ -24,6 +25,8 @@ from hoi.data import Array, Run
 from hoi.files import whole_file
 from hoi.gaussians import SH_C0
 from hoi.render.cameras import FOV_Y, VIEWS, frame_action
+from hoi.render.film import lit_frames
+from hoi.render.look import Look
 from hoi.render.marks import Marks, impulse_arrow, largest_impulse, marks_of, normal_arrow, plane_axes
 from hoi.render.replay import Replay, replay
 from hoi.render.splats import Splats
@@ -48,17 +51,21 @@ class Part:
     """Of Sigma = L L^T: L00, L10, L11, L20, L21, L22 in 127ths of the radius, (T, N, 6)."""
     radii: NDArray[np.float32]
     """[m], (N,)."""
-    rgba: NDArray[np.uint8]
-    """(N, 4)."""
+    opacities: NDArray[np.uint8]
+    """(N,)."""
+    colours: NDArray[np.uint8]
+    """RGB, (T, N, 3)."""
 
     def to_bytes(self) -> bytes:
-        """rgba, radii, origins, then the low and high bytes of the positions' steps in time, then the factors'."""
+        """opacities, radii, origins, then the low and high bytes of the positions' steps in time, the factors', the
+        colours'."""
         moves = np.diff(self.positions, axis=0, prepend=np.zeros_like(self.positions[:1]))
         turns = np.diff(self.factors.view(np.uint8), axis=0, prepend=np.zeros_like(self.factors[:1].view(np.uint8)))
         low, high = (moves & 255).astype(np.uint8), (moves >> 8).astype(np.uint8)
         # Component by component, so that equal bytes lie beside each other.
-        planes = [np.ascontiguousarray(each.transpose(0, 2, 1)).tobytes() for each in (low, high, turns)]
-        return b"".join([self.rgba.tobytes(), self.radii.tobytes(), self.origins.tobytes(), *planes])
+        shades = np.diff(self.colours, axis=0, prepend=np.zeros_like(self.colours[:1]))
+        planes = [np.ascontiguousarray(each.transpose(0, 2, 1)).tobytes() for each in (low, high, turns, shades)]
+        return b"".join([self.opacities.tobytes(), self.radii.tobytes(), self.origins.tobytes(), *planes])
 
 
 def write_page(run: Run, path: Path) -> None:
@@ -80,7 +87,7 @@ def page(run: Run) -> str:
         InputError: as `hoi.render.replay.replay`.
     """
     shown = replay(run)
-    frames = [shown.parts(frame) for frame in range(shown.frames)]
+    frames = list(lit_frames(shown, range(shown.frames), Look()))
     parts = [part_of(part) for part in zip(*frames, strict=True)]
     blob = gzip.compress(b"".join(part.to_bytes() for part in parts), 6, mtime=0)
     facts = _facts(run, shown, marks_of(run))
@@ -109,8 +116,9 @@ def part_of(frames: Sequence[Splats]) -> Part:
     """Round a part's Gaussians, one Splats a frame. What is not finite becomes transparent, in all frames."""
     means = np.stack([splats.means.numpy() for splats in frames]).astype(np.float32)
     count = means.shape[1]
-    rgba = np.column_stack([0.5 + SH_C0 * frames[-1].sh[:, 0].numpy(), frames[-1].opacities.numpy()])
-    good = np.isfinite(means).all((0, 2)) & np.isfinite(rgba).all(1)
+    opacities = frames[-1].opacities.numpy()
+    colours = np.stack([0.5 + SH_C0 * splats.sh[:, 0].numpy() for splats in frames])
+    good = np.isfinite(means).all((0, 2)) & np.isfinite(colours).all((0, 2)) & np.isfinite(opacities)
     factors = np.zeros((len(frames), count, 6), np.float32)
     rows, columns = np.tril_indices(3)
     for frame, splats in enumerate(frames):
@@ -128,14 +136,14 @@ def part_of(frames: Sequence[Splats]) -> Part:
     radii = np.maximum(np.abs(factors).max((0, 2)), 1e-9)
     origins = means.min(1)
     step = max(STEP, float((means - origins[:, None]).max()) / LEVELS)
-    rgba[~good] = 0
     return Part(
         step=step,
         origins=origins,
         positions=np.rint((means - origins[:, None]) / step).astype(np.uint16),
         factors=np.rint(factors / radii[:, None] * 127).astype(np.int8),
         radii=radii,
-        rgba=np.rint(np.clip(rgba, 0, 1) * 255).astype(np.uint8),
+        opacities=np.rint(np.clip(np.where(good, opacities, 0), 0, 1) * 255).astype(np.uint8),
+        colours=np.rint(np.clip(np.where(good[:, None], colours, 0), 0, 1) * 255).astype(np.uint8),
     )
 
 

@@ -13,7 +13,7 @@ from hoi.errors import InputError, RunError
 from hoi.files import whole_file
 from hoi.render.encode import Pixels, Video, check_fps, encode
 
-VIEW = "three_quarter"
+VIEW = "action"
 GIF_WIDTH, GIF_BYTES = 480, 5_000_000
 """Width at most [pixel], and size at most."""
 GIF_NARROWEST = 64
@@ -24,7 +24,7 @@ _SAMPLES = 16
 
 
 def video_of(run: Run, path: Path) -> Video:
-    """The video in the record at `path`; without one, the run drawn from the front and the side.
+    """The video in the record at `path`; without one, the run drawn as a film shows it.
 
     Raises:
         InputError: the run shows nothing, or its video is damaged.

@@ -18,6 +18,7 @@ from hoi.gaussians.cloud import (
     sh_from_colours,
     stretch,
     transform,
+    with_surface,
 )
 from hoi.gaussians.files import load_clean, read_file, read_gaussians
 from hoi.gaussians.found import CloudFile
@@ -47,6 +48,7 @@ __all__ = [
     "sh_from_colours",
     "stretch",
     "transform",
+    "with_surface",
     "write_ply",
     "write_splat",
     "write_spz",

@@ -3,6 +3,7 @@
 Harmonics follow the 3DGS basis: colour = 0.5 + sum_k Y_k(d) c_k, d from the camera to the Gaussian.
 """
 
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,12 +20,14 @@ MOST_STRETCH = 2.0
 """Most that a Gaussian is drawn longer than at rest [-]."""
 
 
-def cloud_of(means: Array, quaternions: Array, scales: Array, opacities: Array, sh: Array) -> GaussianCloud:
+def cloud_of(
+    means: Array, quaternions: Array, scales: Array, opacities: Array, sh: Array, surface: Array | None = None
+) -> GaussianCloud:
     """A cloud in float32, quaternions of unit length."""
     with np.errstate(all="ignore"):  # what becomes NaN here is found by `hoi.gaussians.load_clean`
         quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
         arrays = (np.ascontiguousarray(a, np.float32) for a in (means, quaternions, scales, opacities, sh))
-        return GaussianCloud(*arrays)
+        return GaussianCloud(*arrays, surface)
 
 
 # --- colour ----------------------------------------------------------------------------------------------------------
@@ -101,7 +104,7 @@ def fibonacci_sphere(count: int) -> Array:
 
 def select(cloud: GaussianCloud, rows: NDArray[Any]) -> GaussianCloud:
     """The Gaussians of a mask or of indices."""
-    return GaussianCloud(*(array[rows] for array in fields_of(cloud).values()))
+    return GaussianCloud(*(array if array is None else array[rows] for array in fields_of(cloud).values()))
 
 
 def rotation_matrices(cloud: GaussianCloud) -> Array:
@@ -121,6 +124,22 @@ def covariances(cloud: GaussianCloud) -> Array:
     return root @ root.transpose(0, 2, 1)
 
 
+def with_surface(cloud: GaussianCloud, neighbours: int = 24) -> GaussianCloud:
+    """A captured cloud with a surface: normals along the Gaussians' flattest axes, away from the middle of what is
+    around them, or where they lie evenly from the middle of all; nothing closes the sky."""
+    from scipy.spatial import KDTree
+
+    axes, rows = rotation_matrices(cloud), np.arange(len(cloud))
+    normals = axes[rows, :, cloud.scales.argmin(1)]
+    means = cloud.means.astype(np.float64)
+    near = KDTree(means).query(means, min(neighbours, len(cloud)))[1].reshape(len(cloud), -1)
+    middle = means[near].mean(1)
+    bulge = ((means - middle) * normals).sum(1)
+    bulge += 0.02 * ((means - means.mean(0)) * normals).sum(1)
+    normals *= np.where(bulge < 0, -1.0, 1.0)[:, None]
+    return replace(cloud, surface=np.stack([normals, normals], 1).astype(np.float16))
+
+
 def transform(
     cloud: GaussianCloud, rotation: ArrayLike, scale: float = 1.0, translation: ArrayLike = (0, 0, 0)
 ) -> GaussianCloud:
@@ -128,9 +147,11 @@ def transform(
     rotation = np.asarray(rotation, np.float64)
     turned = Rotation.from_matrix(rotation) * Rotation.from_quat(cloud.quaternions, scalar_first=True)
     means = scale * cloud.means.astype(np.float64) @ rotation.T + np.asarray(translation)
+    surface = None if cloud.surface is None else (cloud.surface @ rotation.T).astype(cloud.surface.dtype)
     return cloud_of(
-        means, turned.as_quat(scalar_first=True), scale * cloud.scales, cloud.opacities, rotate_sh(cloud.sh, rotation)
-    )
+        means, turned.as_quat(scalar_first=True), scale * cloud.scales, cloud.opacities, rotate_sh(cloud.sh, rotation),
+        surface,
+    )  # fmt: skip
 
 
 def limited(deformation_gradient: Array) -> Array:
@@ -157,12 +178,14 @@ def deform(cloud: GaussianCloud, means: Array, deformation_gradient: Array) -> G
 
 
 def stretch(cloud: GaussianCloud, means: Array, deformation_gradient: Array) -> GaussianCloud:
-    """As `deform`, by all of F. Colours turn with the rotation of F's polar decomposition."""
+    """As `deform`, by all of F. Colours and surface turn with the rotation of F's polar decomposition."""
     axes, scales, _ = np.linalg.svd(deformation_gradient @ (rotation_matrices(cloud) * cloud.scales[:, None, :]))
     axes[:, :, 2] *= np.linalg.det(axes)[:, None]  # an axis may point either way; a rotation may not mirror
-    sh = cloud.sh
-    if sh_degree(cloud) > 0:
+    sh, surface = cloud.sh, cloud.surface
+    if sh_degree(cloud) > 0 or surface is not None:
         left, _, right = np.linalg.svd(deformation_gradient)
         left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
         sh = rotate_sh(sh, left @ right)
-    return cloud_of(means, Rotation.from_matrix(axes).as_quat(scalar_first=True), scales, cloud.opacities, sh)
+        surface = surface if surface is None else (surface @ (left @ right).mT).astype(surface.dtype)
+    turns = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    return cloud_of(means, turns, scales, cloud.opacities, sh, surface)

@@ -51,7 +51,8 @@ def read_khr(data: bytes | memoryview, path: Path) -> CloudFile:
         raise InputError(f"a glTF of meshes, not of Gaussians: no primitive has {NAME}")
     bands = max(cloud.sh.shape[1] for cloud in clouds)
     padded = [replace(c, sh=np.pad(c.sh, ((0, 0), (0, bands - c.sh.shape[1]), (0, 0)))) for c in clouds]
-    joined = GaussianCloud(*map(np.concatenate, zip(*(fields_of(c).values() for c in padded), strict=True)))
+    columns = zip(*(fields_of(c).values() for c in padded), strict=True)
+    joined = GaussianCloud(*(np.concatenate(column) for column in columns if column[0] is not None))
     return CloudFile(joined, *UP)
 
 

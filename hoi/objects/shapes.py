@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from hoi.data import Array, GaussianCloud
 from hoi.gaussians import fibonacci_sphere, sh_from_colours
+from hoi.objects import relief as reliefs
+from hoi.objects.relief import TILT, Relief, surface_of
 
 Pattern = Callable[[Array, Array], Array]
 """Surface points [m] (N, 3) of the shape at its own size and outward normals (N, 3) -> RGB (N, 3)."""
@@ -37,6 +39,8 @@ class Shape:
     extent: tuple[float, float, float]
     """Bounding box [m]."""
     pattern: Pattern
+    relief: Relief | None = None
+    """Heights that only light sees."""
     front_detail: float = 1.0
     """A box's front (-y) has this many times as many Gaussians a metre, for what is drawn on it [-]."""
 
@@ -67,13 +71,14 @@ def build(shape: Shape, size: float) -> Surface:
     else:
         mesh = trimesh.creation.box(extents=extent)
         points, frames, footprints = _cover_box(extent, shape.front_detail)
-    rgb = _average(shape.pattern, points, frames, footprints, scale) * _sky_light(frames[:, :, 2])
+    surface = surface_of(shape.relief, points, frames, footprints, scale)
     cloud = GaussianCloud(
         means=points.astype(np.float32),
         quaternions=Rotation.from_matrix(frames).as_quat(scalar_first=True).astype(np.float32),
         scales=np.column_stack([_WIDTH * footprints, _THICKNESS * footprints.min(1)]).astype(np.float32),
         opacities=np.full(len(points), OPACITY, np.float32),
-        sh=sh_from_colours(rgb),
+        sh=sh_from_colours(_average(shape.pattern, points, frames, footprints, scale)),
+        surface=surface.astype(np.float16),
     )
     return Surface(cloud, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces))
 
@@ -148,15 +153,7 @@ def _average(pattern: Pattern, points: Array, frames: Array, footprints: Array, 
     return np.mean([pattern(p / scale, normals) for p in moved], axis=0)
 
 
-def _sky_light(normals: Array) -> Array:
-    """Soft light from above, baked in as a capture would have it: without it an even ball looks like a disc."""
-    return 0.8 + 0.2 * normals[:, 2:]
-
-
 # --- patterns --------------------------------------------------------------------------------------------------------
-
-
-_TILT = Rotation.from_euler("xyz", [0.75, 0.35, 0.2]).as_matrix()  # balls lie as they fell
 
 
 def _soccer(points: Array, normals: Array) -> Array:
@@ -167,7 +164,7 @@ def _soccer(points: Array, normals: Array) -> Array:
     pentagons, hexagons = np.asarray(icosahedron.vertices), np.asarray(icosahedron.triangles_center)
     pentagons, hexagons = (n / np.linalg.norm(n, axis=1, keepdims=True) for n in (pentagons, hexagons))
     # A direction lies in the face whose plane it meets first; distances of the planes for edge length 1.
-    directions = points / np.linalg.norm(points, axis=1, keepdims=True) @ _TILT
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True) @ TILT
     reach = np.concatenate([directions @ pentagons.T / 2.32744, directions @ hexagons.T / 2.26728], 1)
     best = np.partition(reach, -2, axis=1)
     rgb = np.full((len(points), 3), 0.93)
@@ -178,7 +175,7 @@ def _soccer(points: Array, normals: Array) -> Array:
 
 def _basketball(points: Array, normals: Array) -> Array:
     """Orange with the eight panels' dark seams: two great circles and two bowed ones."""
-    _, y, z = (points / np.linalg.norm(points, axis=1, keepdims=True) @ _TILT).T
+    _, y, z = (points / np.linalg.norm(points, axis=1, keepdims=True) @ TILT).T
     rgb = np.tile([0.85, 0.40, 0.13], (len(points), 1))
     seam = np.minimum.reduce([np.abs(y), np.abs(z), np.abs(np.abs(y) - 0.52 - 0.34 * z**2)]) < 0.028
     rgb[seam] = [0.10, 0.07, 0.06]
@@ -228,7 +225,7 @@ def _cardboard(points: Array, normals: Array) -> Array:
 
 def _beach_ball(points: Array, normals: Array) -> Array:
     """Six gores, every other one white, and a white cap at either end."""
-    x, y, z = (points / np.linalg.norm(points, axis=1, keepdims=True) @ _TILT).T
+    x, y, z = (points / np.linalg.norm(points, axis=1, keepdims=True) @ TILT).T
     colours = np.array([[0.86, 0.16, 0.14], [0.95, 0.95, 0.93], [0.98, 0.78, 0.10],
                         [0.95, 0.95, 0.93], [0.10, 0.40, 0.80], [0.95, 0.95, 0.93]])  # fmt: skip
     rgb = colours[(np.arctan2(y, x) // (np.pi / 3)).astype(int) % 6]
@@ -282,15 +279,15 @@ JELLY_SHARE = 0.3
 """Of its height; the rest is the stand."""
 
 SHAPES = {
-    "soccer_ball": Shape("ball", (0.22, 0.22, 0.22), _soccer),
-    "basketball": Shape("ball", (0.24, 0.24, 0.24), _basketball),
+    "soccer_ball": Shape("ball", (0.22, 0.22, 0.22), _soccer, reliefs.soccer),
+    "basketball": Shape("ball", (0.24, 0.24, 0.24), _basketball, reliefs.basketball),
     "blue_ball": Shape("ball", (0.22, 0.22, 0.22), _blue),
-    "file_cabinet": Shape("box", FILE_CABINET_EXTENT, _cabinet, front_detail=1.7),
-    "cardboard_box": Shape("box", CARDBOARD_BOX_EXTENT, _cardboard),
+    "file_cabinet": Shape("box", FILE_CABINET_EXTENT, _cabinet, reliefs.cabinet(FILE_CABINET_EXTENT), front_detail=1.7),
+    "cardboard_box": Shape("box", CARDBOARD_BOX_EXTENT, _cardboard, reliefs.cardboard),
     "beach_ball": Shape("ball", (0.4, 0.4, 0.4), _beach_ball),
-    "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012)),
-    "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly),
-    "clay_block": Shape("box", (0.2, 0.2, 0.2), _speckled((0.58, 0.36, 0.24), 0.10, 0.025)),
-    "sand_bag": Shape("cylinder", SAND_BAG_EXTENT, _sand_bag),
-    "snow_block": Shape("box", (0.3, 0.3, 0.3), _speckled((0.90, 0.93, 0.97), 0.04, 0.02)),
+    "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012), reliefs.pores(0.022, 0.006)),
+    "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly, reliefs.jelly),
+    "clay_block": Shape("box", (0.2, 0.2, 0.2), _speckled((0.58, 0.36, 0.24), 0.10, 0.025), reliefs.rough(0.05, 0.004)),
+    "sand_bag": Shape("cylinder", SAND_BAG_EXTENT, _sand_bag, reliefs.sand_bag),
+    "snow_block": Shape("box", (0.3, 0.3, 0.3), _speckled((0.90, 0.93, 0.97), 0.04, 0.02), reliefs.rough(0.06, 0.004)),
 }

@@ -13,7 +13,7 @@ from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject, fields_of
 
 T = TypeVar("T")
 
-_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes")
+_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes", "setting")
 _BODY = ("name", "source")
 _OBJECT = ("name", "size", "notes", "material", "other_materials")
 
@@ -118,7 +118,9 @@ def _arrays(data: bytes, owner: type) -> dict[str, Any]:
     """The inverse of `_npz`; what `owner` has no field for is left out."""
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
         clouds = {
-            field: GaussianCloud(**{f.name: archive[prefix + f.name] for f in fields(GaussianCloud)})
+            field: GaussianCloud(
+                **{f.name: archive[prefix + f.name] for f in fields(GaussianCloud) if prefix + f.name in archive.files}
+            )
             for field, prefix in (("cloud", ""), ("drawn", "drawn_"))
             if f"{prefix}means" in archive.files
         }

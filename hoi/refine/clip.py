@@ -14,13 +14,15 @@ from torch import Tensor
 
 from hoi.body.skeleton import JOINT_COUNT, PARENTS
 from hoi.body.skinning import joint_paths
-from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Scene, State
+from hoi.data import Body, Motion, ObjectTrajectory, Scene, State, fields_of
+from hoi.gaussians import select
 from hoi.refine.silhouettes import coverage, silhouettes
 from hoi.refine.views import Framing, background, ring
 from hoi.refine.window import Window
 from hoi.render import cameras
 from hoi.render.cameras import Camera
 from hoi.render.film import has_floor
+from hoi.render.light import lit, lit_parts
 from hoi.render.rasterise import rasterise, render_frames
 from hoi.render.replay import Replay, person_tensors, posed
 from hoi.render.splats import Splats, join
@@ -69,7 +71,7 @@ class Clip:
         with torch.no_grad():
             things = [self._shown.parts(frame)[1] for frame in window.frames]
             others = posed(rest, self._translation, self._orientation, before)
-        self._still = [(other, thing) for other, thing in zip(others, things, strict=True)]
+        self._still = [lit_parts(pair) for pair in zip(others, things, strict=True)]
         self._kept: dict[Camera, tuple[Tensor | None, dict[int, Tensor]]] = {}
         self._room = CACHE
 
@@ -93,7 +95,7 @@ class Clip:
             if behind is None:
                 changed[frame] = torch.stack([coverage(limb, camera), *pictures[frame]])
             else:
-                changed[frame] = rasterise(join([limb, *still]), camera, behind).colour.movedim(-1, 0)
+                changed[frame] = rasterise(join([lit(limb), *still]), camera, behind).colour.movedim(-1, 0)
         clip = torch.stack([changed[frame] if frame in changed else pictures[frame] for frame in self.frames])
         return clip.clamp(0, 1)
 
@@ -112,7 +114,7 @@ class Clip:
         """The background (height, width, 3), and the pictures (3, height, width) of the frames outside the window."""
         behind = background(camera, floor=self._floor, device=self._device)
         outside = sorted(set(self.frames) - set(self.window.frames))
-        drawn = render_frames((self._shown.parts(frame) for frame in outside), camera, behind)
+        drawn = render_frames((lit_parts(self._shown.parts(frame)) for frame in outside), camera, behind)
         return behind, {frame: picture.colour.movedim(-1, 0) for frame, picture in zip(outside, drawn, strict=True)}
 
     @torch.no_grad()
@@ -190,18 +192,15 @@ def moved_by(body: Body, joints: Sequence[int]) -> np.ndarray:
 
 def chosen(splats: Splats, rows: torch.Tensor) -> Splats:
     """Some of the Gaussians, by a mask (N,)."""
-    turns = None if splats.turns is None else splats.turns[rows]
-    return Splats(splats.means[rows], splats.covariances[rows], splats.opacities[rows], splats.sh[rows], turns)
+    return Splats(*(tensor if tensor is None else tensor[rows] for tensor in fields_of(splats).values()))
 
 
 def subset(body: Body, rows: np.ndarray) -> Body:
     """Some of a body's Gaussians."""
-    cloud = body.cloud
-    parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.sh)
     directions = None if body.pose_directions is None else body.pose_directions[rows]
     return replace(
         body,
-        cloud=GaussianCloud(*(part[rows] for part in parts)),
+        cloud=select(body.cloud, rows),
         skinning_weights=body.skinning_weights[rows],
         pose_directions=directions,
     )

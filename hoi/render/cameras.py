@@ -34,6 +34,8 @@ VIEWS = {
     "follow": (0.80, -0.50, 0.30),
 }
 """Where the camera stands, seen from the action. "follow" stands behind, so that what is kicked away stays in sight."""
+ACTION = "action"
+"""The name of the view that is none of these: `hoi.render.director` chooses it."""
 TOP_UP = (-1.0, 0.0, 0.0)
 """What is up in the top view: the side view tipped over, so that the person still faces right."""
 

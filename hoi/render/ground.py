@@ -1,7 +1,8 @@
-"""What stands behind the Gaussians: a light floor with a metre grid, a plain sky, and soft shadows.
+"""What stands behind the Gaussians: a ground, a sky, and soft shadows.
 
-The light is a large one straight overhead. A shadow therefore lies exactly below what casts it, and it is the softer
-and the fainter the higher that is: this is what lets heights be read off a picture.
+The sky is a large light straight overhead. Its shadow therefore lies exactly below what casts it, and it is the softer
+and the fainter the higher that is: this is what lets heights be read off a picture. The key light of `hoi.render.light`
+adds a sharper one. The plain ground is light, with a metre grid; the others are those of `hoi.render.places`.
 """
 
 import math
@@ -14,7 +15,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from hoi.data import Array, Camera
+from hoi.render import Ground
 from hoi.render.cameras import project
+from hoi.render.light import Light
+from hoi.render.places import PLACES, pattern_at
 from hoi.render.splats import Splats
 
 FLOOR, LINE, HORIZON, ZENITH = 0.909, 0.842, 0.961, 0.99
@@ -28,14 +32,43 @@ DARKNESS = 0.52
 """Share of its light that a covered floor loses."""
 SOFTNESS = 0.13
 """Standard deviation of the shadow's edge a metre of height [-]: the light's angular size."""
-_EDGES = (0.012, 0.03, 0.065, 0.14, 0.3)
+SKY_DARKNESS = 0.40
+"""The same of the sky's light beside a key light."""
+KEY_SOFTNESS = 0.045
+EDGES = (0.012, 0.03, 0.065, 0.14, 0.3)
 """Standard deviations of the edges that are mixed to any softness between [m]."""
+_SKY_EDGES, _KEY_EDGES = (0.02, 0.08, 0.3), (0.018, 0.08)
+"""The same of two lights, which hide each other's steps."""
 _FINE = 2.5  # cells of a shadow's map in a standard deviation
 _GRAZING = 1e-4  # rays that are more level than this do not reach the floor
 _CELLS = 1_000_000  # in one map at most, where a part is spread out very far
 _FAR, _WIDE = 500.0, 0.3  # what is further away casts nothing, and no footprint is taken for wider [m]
 _CASTERS = 6000
 """From twice as many Gaussians on only every second, third, ... casts a shadow, for itself and those left out."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A light on the floor."""
+
+    towards: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit direction to it."""
+    softness: float = SOFTNESS
+    darkness: float = DARKNESS
+    edges: tuple[float, ...] = EDGES
+
+
+def beams(light: Light | None) -> tuple[Beam, ...]:
+    """The lights that shadows are cast by: the sky and, in a light, its key light; what that gives the floor is shown
+    by the root of what is left."""
+    if light is None:
+        return (Beam(),)
+    key = light.key * light.direction[2]
+    rest = light.horizon + (light.zenith - light.horizon) * 2 / 3
+    return (
+        Beam(darkness=SKY_DARKNESS, edges=_SKY_EDGES),
+        Beam(light.direction, KEY_SOFTNESS, 1 - (rest / (rest + key)) ** (1 / 2.2), _KEY_EDGES),
+    )
 
 
 @dataclass(frozen=True)
@@ -48,6 +81,8 @@ class Shadow:
     """Where the outer corner of the first cell lies, x and y [m]."""
     cell: float
     """[m]"""
+    darkness: float = DARKNESS
+    """Share of its light that the floor loses where it is covered."""
 
     def corners(self) -> Array:
         """Of the map, on the floor [m], (4, 3)."""
@@ -65,34 +100,46 @@ class Shadow:
 class Backdrop:
     """The background of one camera; what does not move is worked out once."""
 
-    def __init__(self, camera: Camera, *, floor: bool = True, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        floor: bool = True,
+        ground: Ground = Ground.plain,
+        device: torch.device | str = "cpu",
+    ) -> None:
         """Without a `floor` at z = 0 there is sky all around, and nothing that a shadow could fall on."""
         rays = _rays(camera, device)
-        grey = _sky(rays)
+        colour = _sky(rays, ground)
         if floor:
-            colour, share, places = _floor(camera, rays)
-            grey = _mix(grey, colour, share)
+            lit, share, places = _floor(camera, rays, ground)
+            colour = _mix(colour, lit, share[..., None])
             self._places = places.permute(1, 2, 0).contiguous()
-            self._loss = DARKNESS * share * grey  # what the darkest shadow takes away
-        self.grey = grey
-        """Without shadows, (height, width)."""
+            self._share = share
+        self.colour = colour
+        """Without shadows, (height, width, 3)."""
         self._camera, self._floor = camera, floor
 
     def __call__(self, shadows: Sequence[Shadow]) -> Tensor:
         """The background with these shadows, (height, width, 3) in [0, 1]."""
-        grey = self.grey
-        if self._floor and shadows:
-            grey, cover = grey.clone(), torch.zeros_like(grey)
-            windows = [self._window(shadow) for shadow in shadows]
-            for shadow, window in zip(shadows, windows, strict=True):
-                cover[window] += shadow.look_up(self._places[window])
+        colour = self.colour.clone()
+        if not self._floor:
+            return colour
+        for darkness in dict.fromkeys(shadow.darkness for shadow in shadows):
+            cover = torch.zeros_like(self._share)
+            windows = []
+            for shadow in shadows:
+                if shadow.darkness == darkness:
+                    windows.append(window := self._window(shadow))
+                    cover[window] += shadow.look_up(self._places[window])
             around = tuple(
                 slice(min(side.start for side in sides), max(side.stop for side in sides))
                 for sides in zip(*windows, strict=True)
             )
             # Several layers of one body above each other are hardly darker than one.
-            grey[around] += self._loss[around] * torch.expm1(-1.8 * cover[around])
-        return grey[..., None].repeat(1, 1, 3)
+            loss = darkness * self._share[around] * torch.expm1(-1.8 * cover[around])
+            colour[around] *= 1 + loss[..., None]
+        return colour
 
     def _window(self, shadow: Shadow) -> tuple[slice, slice]:
         """The part of the picture in which the shadow's map lies."""
@@ -105,14 +152,19 @@ class Backdrop:
 
 
 @torch.no_grad()
-def cast(splats: Splats) -> tuple[Shadow, ...]:
+def cast(splats: Splats, beam: Beam = Beam()) -> tuple[Shadow, ...]:
     """The shadows of the Gaussians on the floor z = 0, to be added up: one a softness, none where nothing is above it.
 
-    A Gaussian's optical thickness falls on its footprint, the horizontal block of its covariance. Of all that is about
-    equally high the share of the light that is gone is 1 - exp(-thickness), blurred by the height.
+    In a light from aside each falls along it, as if the Gaussian stood straight above that place. A Gaussian's
+    optical thickness falls on its footprint, the horizontal block of its covariance. Of all that is about equally
+    high the share of the light that is gone is 1 - exp(-thickness), blurred by the height.
     """
     step = max(1, len(splats) // _CASTERS)
     means, sigma, opacities = (t[::step].float() for t in (splats.means, splats.covariances, splats.opacities))
+    if beam.towards[2] < 1:
+        shear = torch.eye(3, device=means.device)
+        shear[0, 2], shear[1, 2] = (-along / beam.towards[2] for along in beam.towards[:2])
+        means, sigma = means @ shear.T, shear @ sigma @ shear.T
     xx, xy, yy = (step * sigma[:, row, column] for row, column in ((0, 0), (0, 1), (1, 1)))
     area = 2 * math.pi * (xx * yy - xy * xy).clamp_min(0).sqrt()
     table = torch.stack([*means.unbind(1), opacities * area, (xx + yy) / 2], 1)
@@ -121,21 +173,21 @@ def cast(splats: Splats) -> tuple[Shadow, ...]:
     if len(rows) == 0:
         return ()
     table = table if len(rows) == len(table) else table[rows]
-    edges = table.new_tensor(_EDGES)
-    softness = (SOFTNESS * table[:, 2]).clamp(_EDGES[0], _EDGES[-1])
+    edges = table.new_tensor(beam.edges)
+    softness = (beam.softness / beam.towards[2] * table[:, 2]).clamp(beam.edges[0], beam.edges[-1])
     lower = torch.bucketize(softness, edges[1:-1])  # softness lies between edges `lower` and `lower + 1`
     share = torch.log(softness / edges[lower]) / torch.log(edges[lower + 1] / edges[lower])
     shadows = []
-    for index, edge in enumerate(_EDGES):
+    for index, edge in enumerate(beam.edges):
         rows = torch.nonzero((lower == index) | (lower == index - 1))[:, 0]
         if len(rows):
             x, y, _, mass, spread = table[rows].unbind(1)
             part = torch.where(lower[rows] == index, 1 - share[rows], share[rows])
-            shadows.append(_shadow(torch.stack([x, y], 1), mass, spread, part, edge))
+            shadows.append(_shadow(torch.stack([x, y], 1), mass, spread, part, edge, beam.darkness))
     return tuple(shadows)
 
 
-def _shadow(places: Tensor, mass: Tensor, spread: Tensor, share: Tensor, edge: float) -> Shadow:
+def _shadow(places: Tensor, mass: Tensor, spread: Tensor, share: Tensor, edge: float, darkness: float) -> Shadow:
     """One shadow of Gaussians at `places` with their thickness summed over the floor, `mass` [m^2].
 
     Args:
@@ -156,7 +208,7 @@ def _shadow(places: Tensor, mass: Tensor, spread: Tensor, share: Tensor, edge: f
         for weights in (mass, mass * share)
     )
     cover = -torch.expm1(-whole) * part / whole.clamp_min(1e-12)
-    return Shadow(_blur(cover, edge / cell).clamp(0, 1), (low[0], low[1]), cell)
+    return Shadow(_blur(cover, edge / cell).clamp(0, 1), (low[0], low[1]), cell, darkness)
 
 
 def _blur(image: Tensor, sigma: float) -> Tensor:
@@ -177,44 +229,69 @@ def _rays(camera: Camera, device: torch.device | str) -> Tensor:
     return rays / torch.sqrt(1 + x**2 + y[:, None] ** 2)
 
 
-def _sky(rays: Tensor) -> Tensor:
-    """Its grey, lighter upwards, (height, width)."""
-    return _mix(HORIZON, ZENITH, _smooth_step(rays[2], 0.0, 0.5))
+def _sky(rays: Tensor, ground: Ground) -> Tensor:
+    """Lighter or bluer upwards, (height, width, 3)."""
+    low, high = (
+        ((HORIZON,) * 3, (ZENITH,) * 3) if ground is Ground.plain else (PLACES[ground].horizon, PLACES[ground].zenith)
+    )
+    return _between(low, high, _smooth_step(rays[2], 0.0, 0.5))
 
 
-def _floor(camera: Camera, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Its grey and its share of each pixel, (height, width), and where the pixels lie on it [m], (2, height, width)."""
+def _floor(camera: Camera, rays: Tensor, ground: Ground) -> tuple[Tensor, Tensor, Tensor]:
+    """Its colour (height, width, 3), its share of each pixel, (height, width), and where the pixels lie on it [m],
+    (2, height, width)."""
     eye = torch.as_tensor(camera.position, dtype=torch.float32, device=rays.device)
     towards = -rays[2] * (1.0 if eye[2] >= 0 else -1.0)
     distance = abs(eye[2]) / towards.clamp_min(_GRAZING)
     places = eye[:2, None, None] + distance * rays[:2]
     share = _smooth_step(towards, math.sin(FADE[0]), math.sin(FADE[1]))
-    return _mix(FLOOR, LINE, _grid(camera, rays, distance, places)), share, places
+    spans = _spans(camera, rays, distance)
+    if ground is Ground.plain:
+        return _between((FLOOR,) * 3, (LINE,) * 3, _lines(places, spans, 1.0, LINE_WIDTH)), share, places
+    place = PLACES[ground]
+    tone = pattern_at(ground, places, torch.sqrt(spans[0] * spans[1]))
+    colour = _between(place.dark, place.light, tone).clamp(0, 1)
+    drawn = _lines(places, spans, place.line_every, place.line_width)[..., None]
+    return _mix(colour, places.new_tensor(place.line), drawn), share, places
 
 
-def _grid(camera: Camera, rays: Tensor, distance: Tensor, places: Tensor) -> Tensor:
-    """How much of each pixel lines cover, exact for a footprint's box: far lines become an even tone by themselves."""
+def _spans(camera: Camera, rays: Tensor, distance: Tensor) -> list[Tensor]:
+    """How wide a pixel's footprint on the floor is along x and along y [m], (height, width) each."""
     axes = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=torch.float32, device=rays.device)
     # From a pixel to the next, at depth 1, the ray moves by a step that leaves the floor; sliding back onto it along
     # the ray takes step_z / ray_z of the ray.
     depth = distance * (axes[2, :, None, None] * rays).sum(0)
     upright = rays[2].abs().clamp_min(_GRAZING) * rays[2].sign()
-    clear = torch.ones_like(distance)
+    spans = []
     for axis in range(2):
         right, down = (
             (axes[row, axis] - axes[row, 2] * rays[axis] / upright) / focal
             for row, focal in ((0, camera.fx), (1, camera.fy))
         )
-        span = (depth * torch.hypot(right, down)).clamp_min(1e-6)
-        length = _line_length(places[axis] + span / 2) - _line_length(places[axis] - span / 2)
+        spans.append((depth * torch.hypot(right, down)).clamp_min(1e-6))
+    return spans
+
+
+def _lines(places: Tensor, spans: Sequence[Tensor], every: float, width: float) -> Tensor:
+    """How much of each pixel the lines of a grid cover, exact for a footprint's box: far ones become an even tone by
+    themselves."""
+    clear = torch.ones_like(spans[0])
+    for place, span in zip(places, spans, strict=True):
+        length = _line_length(place + span / 2, every, width) - _line_length(place - span / 2, every, width)
         clear *= 1 - (length / span).clamp(0, 1)
     return 1 - clear
 
 
-def _line_length(x: Tensor) -> Tensor:
-    """How much of the stretch from 0 to x lies on lines at whole metres."""
-    whole = torch.floor(x + 0.5)
-    return whole * LINE_WIDTH + (x - whole).clamp(-LINE_WIDTH / 2, LINE_WIDTH / 2)
+def _line_length(x: Tensor, every: float, width: float) -> Tensor:
+    """How much of the stretch from 0 to x lies on lines at multiples of `every`."""
+    whole = torch.floor(x / every + 0.5)
+    return whole * width + (x - whole * every).clamp(-width / 2, width / 2)
+
+
+def _between(low: Sequence[float], high: Sequence[float], share: Tensor) -> Tensor:
+    """Colours (height, width, 3)."""
+    low, high = share.new_tensor(low), share.new_tensor(high)
+    return low + (high - low) * share[..., None]
 
 
 def _mix(a: float | Tensor, b: float | Tensor, share: Tensor) -> Tensor:

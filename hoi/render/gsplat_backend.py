@@ -19,6 +19,7 @@ def rasterise_gsplat(
     *,
     depth: bool = False,
     sh_degree: int | None = None,
+    antialiased: bool = False,
 ) -> Picture:
     """The picture of `hoi.render.rasterise.rasterise`, in float32, made on the current CUDA device.
 
@@ -52,6 +53,7 @@ def rasterise_gsplat(
             near_plane=camera.near,
             packed=False,
             render_mode="RGB+D",
+            rasterize_mode="antialiased" if antialiased else "classic",
         )
         values, alpha = values[0], alphas[0, ..., 0]
     colour = values[..., :3] + (1 - alpha)[..., None] * on_gpu(background)

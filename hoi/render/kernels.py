@@ -7,6 +7,8 @@ Conventions are those of 3D Gaussian splatting (Kerbl et al. 2023) as gsplat 1.5
                                               picture
     p = d^T S^-1 d / 2 = (P d_x + Q d_y)^2 + (R d_y)^2    d from the splat's centre to the pixel's, which is at + 0.5
     alpha = min(0.999, o exp(-p))             left out where o exp(-p) < 1/255
+    o = sqrt(det(S - 0.3 I) / det S) opacity  if antialiased (Yu et al. 2024, Mip-Splatting): fainter by as much as the
+                                              0.3 px^2 widen it; the opacity itself if not
     w_i = alpha_i T_i,  T_i+1 = T_i (1 - alpha_i)   front to back; a pixel is full before the splat that would take T to
                                               1e-4 or less
 
@@ -26,6 +28,9 @@ from hoi.compute import CPU_TASK, ti
 
 DILATION = 0.3
 """Added to the variances of a splat [px^2]."""
+LEAST_SHARE = 2.5e-5
+"""Of det(S - 0.3 I) in det S that antialiasing takes into account, as 3DGS has it: below it the root has no useful
+slope."""
 MAX_ALPHA = 0.999
 """Of a Gaussian in a pixel, so that what is behind it still counts."""
 X, Y, P, Q, R, OPACITY, END, RED, GREEN, BLUE, DEPTH = range(11)
@@ -108,10 +113,16 @@ def projected_covariance(covariances: array, i, m00, m01, m02, m10, m11, m12):
     return xx, xy, m10 * v0 + m11 * v1 + m12 * v2 + DILATION, u0, u1, u2, v0, v1, v2
 
 
+@ti.func
+def kept_share(xx, xy, yy):
+    """det(S - 0.3 I) / det S."""
+    return ((xx - DILATION) * (yy - DILATION) - xy * xy) / (xx * yy - xy * xy)
+
+
 @ti.kernel
 def project(
-    means: array, covariances: array, opacities: array, colours: array, pose: array, lens: array, cut: ti.f64,
-    width: ti.i32, height: ti.i32, splats: array, boxes: array
+    antialiased: ti.template(), means: array, covariances: array, opacities: array, colours: array, pose: array,
+    lens: array, cut: ti.f64, width: ti.i32, height: ti.i32, splats: array, boxes: array
 ):  # fmt: skip
     """One splat a Gaussian; `lens`: focal lengths and centre [px], bounds of x/z and y/z in J, near [m]."""
     ti.loop_config(block_dim=CPU_TASK)
@@ -124,8 +135,10 @@ def project(
             m10, m11, m12 = projected_axis(pose, 1, lens[1], held(y, z, lens[6], lens[7]), z)
             xx, xy, yy, _0, _1, _2, _3, _4, _5 = projected_covariance(covariances, i, m00, m01, m02, m10, m11, m12)
             determinant = xx * yy - xy * xy
+            if ti.static(antialiased):
+                opacity *= ti.sqrt(ti.max(kept_share(xx, xy, yy), LEAST_SHARE))
             end = ti.log(opacity / cut)
-            if determinant > 0.0:
+            if determinant > 0.0 and end >= 0.0:
                 centre_x, centre_y = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
                 reach_x, reach_y = ti.sqrt(2.0 * end * xx), ti.sqrt(2.0 * end * yy)
                 boxes[i, LEFT] = ti.cast(ti.ceil(within(centre_x - reach_x, 0, width)), ti.i32)
@@ -143,8 +156,8 @@ def project(
 
 @ti.kernel
 def project_back(
-    means: array, covariances: array, pose: array, lens: array, boxes: array, given: array, to_means: array,
-    to_covariances: array
+    antialiased: ti.template(), means: array, covariances: array, opacities: array, pose: array, lens: array,
+    boxes: array, given: array, to_means: array, to_covariances: array
 ):  # fmt: skip
     """Gradients of means and covariances from those of the splats, `given`, laid out as they are."""
     ti.loop_config(block_dim=CPU_TASK)
@@ -164,6 +177,13 @@ def project_back(
             sxx = share * yy
             sxy = -share * xy - 0.5 * to_q
             syy = share * xx + 0.5 * (by_p - by_q - by_r) / yy
+            if ti.static(antialiased):
+                kept = kept_share(xx, xy, yy)
+                if kept > LEAST_SHARE:
+                    by_kept = 0.5 * given[i, OPACITY] * opacities[i] / ti.sqrt(kept) / determinant
+                    sxx += by_kept * (yy - DILATION - kept * yy)
+                    sxy += by_kept * xy * (kept - 1.0)
+                    syy += by_kept * (xx - DILATION - kept * xx)
             # dL/dSigma = M^T (dL/dS) M
             for k, n0, n1 in ti.static(((0, m00, m10), (1, m01, m11), (2, m02, m12))):
                 for_x, for_y = sxx * n0 + sxy * n1, sxy * n0 + syy * n1

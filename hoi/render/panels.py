@@ -11,15 +11,21 @@ from hoi import record
 from hoi.data import Array, Camera, Run
 from hoi.errors import InputError, about
 from hoi.render import Backend
-from hoi.render.cameras import TOP_UP, VIEWS, circle, frame_action
+from hoi.render.cameras import ACTION, TOP_UP, VIEWS, circle, frame_action
 from hoi.render.cameras import view as view_of
+from hoi.render.director import contact_frame
 from hoi.render.encode import check_fps, encode, write_mp4, write_png
-from hoi.render.film import choose_frames, film
+from hoi.render.film import cameras_of, choose_frames, film
 from hoi.render.layout import Pixels, columns_for, shrink, tile, write_on
+from hoi.render.look import USUAL, Look
 from hoi.render.replay import Replay, replay
 
 TURN = 100
 """Viewpoints around a moment that is frozen: the paper's."""
+SMOOTH = 60.0
+"""Pictures a second of slow motion, unless told otherwise."""
+SLOW = (0.12, 0.4)
+"""Slow motion is full and over this long before and after the contact [s]."""
 STRIP_PICTURES, STRIP_HEIGHT = 8, 240
 
 
@@ -43,33 +49,61 @@ class Clock:
     """[s]"""
     fps: float
     """Pictures a second, as it is played."""
+    between: bool = False
+    """Whether the moments lie between frames; otherwise each shows the nearest."""
 
     def frames(self, replay: Replay) -> list[int]:
         """The frame of a run nearest to each time; after its end the last."""
         return [min(round(time * replay.fps), replay.frames - 1) for time in self.times]
 
 
-def make_clock(replays: Sequence[Replay], frames: slice, speed: float, freeze: int | None) -> Clock:
+def make_clock(
+    replays: Sequence[Replay],
+    frames: slice,
+    speed: float,
+    freeze: int | None,
+    fps: float | None = None,
+    slow: float = 1.0,
+) -> Clock:
     """The clock of the run with most frames a second, until the longest has ended.
 
     Args:
         frames: of that clock.
         speed: 1 is real time.
         freeze: the frame at which time stands, for one turn.
+        fps: pictures a second, with moments between the frames; None shows each frame once.
+        slow: how many times slower it goes around the first run's contact.
 
     Raises:
         InputError: there is no such frame, or the speed cannot be played.
     """
-    fps = max(each.fps for each in replays)
-    count = max(math.ceil(each.frames * fps / each.fps - 1e-6) for each in replays)
+    own = max(each.fps for each in replays)
+    count = max(math.ceil(each.frames * own / each.fps - 1e-6) for each in replays)
     if freeze is not None and not 0 <= freeze < count:
         raise InputError(f"--freeze {freeze}: frames 0 to {count - 1} are there")
     shown = list(range(count))[frames] if freeze is None else [freeze] * TURN
     if not shown:
         raise InputError(f"--frames: none of the frames 0 to {count - 1} is left")
+    if freeze is None and (fps is not None or slow > 1):
+        rate = fps or SMOOTH
+        with about(f"--fps {rate:g}"):
+            played = check_fps(rate)
+        at = contact_frame(replays[0]) / replays[0].fps
+        return Clock(_moments(shown[0] / own, (shown[-1] + 1) / own, at, speed / rate, slow), float(played), True)
     with about(f"--speed {speed:g}"):
-        played = check_fps(fps * speed)
-    return Clock([frame / fps for frame in shown], float(played))
+        played = check_fps(own * speed)
+    return Clock([frame / own for frame in shown], float(played))
+
+
+def _moments(start: float, end: float, contact: float, step: float, slow: float) -> list[float]:
+    """Times [s] from one to another, `slow` times as close around the contact as elsewhere."""
+    times, time = [], start
+    while time < end - 1e-9:
+        times.append(time)
+        away = np.clip((abs(time - contact) - SLOW[0]) / (SLOW[1] - SLOW[0]), 0, 1)
+        near = 1 - away * away * (3 - 2 * away)
+        time += step / (1 + (slow - 1) * near)
+    return times
 
 
 def make_panels(
@@ -83,23 +117,35 @@ def make_panels(
     points = np.concatenate([each.action().points() for each in replays])
     panels = []
     for shown, label in zip(replays, labels, strict=True):
-        frames = clock.frames(shown)
+        frames: Sequence[int] = clock.frames(shown)
+        if clock.between:
+            moments = np.minimum(np.array(clock.times) * shown.fps, shown.frames - 1)
+            shown, frames = shown.retimed(moments, clock.fps), range(len(moments))
         for name in names:
             words = [label] * (len(replays) > 1) + [name.replace("_", " ")] * (len(names) > 1)
-            panels.append(Panel(shown, frames, _cameras(name, shown, frames, points, size), "  ·  ".join(words)))
+            panels.append(
+                Panel(shown, frames, _cameras(name, shown, frames, points, size, len(replays) > 1), "  ·  ".join(words))
+            )
     return panels
 
 
-def _cameras(name: str, shown: Replay, frames: Sequence[int], points: Array, size: tuple[int, int]) -> Sequence[Camera]:
+def _cameras(
+    name: str, shown: Replay, frames: Sequence[int], points: Array, size: tuple[int, int], beside: bool
+) -> Sequence[Camera]:
+    """One a picture. Beside other runs the action is seen from the front and the side, from one place for all."""
     width, height = size
     if name == "turntable":
         return circle(points, len(frames), width=width, height=height)
+    if name == ACTION and not beside:
+        directed = cameras_of(shown, name, width, height)
+        return [directed[frame] for frame in frames]
     if name == "follow":
         following = view_of(name, shown.action(), width=width, height=height)
         assert isinstance(following, list)
         return [following[frame] for frame in frames]
     up = TOP_UP if name == "top" else (0, 0, 1)
-    return [frame_action(points, VIEWS[name], width=width, height=height, up=up)] * len(frames)
+    direction = VIEWS["three_quarter" if name == ACTION else name]
+    return [frame_action(points, direction, width=width, height=height, up=up)] * len(frames)
 
 
 @dataclass(frozen=True)
@@ -109,6 +155,7 @@ class Drawing:
     sh_degree: int | None = None
     backend: Backend = "taichi"
     device: str = "cpu"
+    look: Look = USUAL
 
 
 def rows_of_pictures(panels: Sequence[Panel], how: Drawing) -> Iterator[list[Pixels]]:
@@ -179,7 +226,7 @@ def labels_of(runs: Sequence[Run], paths: Sequence[Path]) -> list[str]:
     return ["/".join(part for part in each if part not in shared) or each[-1] for each in parts]
 
 
-def load(path: Path, device: str) -> tuple[Run, Replay]:
+def load(path: Path, device: str, *, relight: bool = False) -> tuple[Run, Replay]:
     """The run of a record, and what it shows.
 
     Raises:
@@ -187,4 +234,4 @@ def load(path: Path, device: str) -> tuple[Run, Replay]:
     """
     run = record.read(path)
     with about(path):
-        return run, replay(run, device)
+        return run, replay(run, device, relight=relight)

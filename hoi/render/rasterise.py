@@ -35,6 +35,9 @@ class Settings:
     """Pixels across a tile."""
     exact: bool = False
     """The exponential function to the last digit rather than to 4e-5. Always in float64."""
+    antialiased: bool = False
+    """Make up for the 0.3 px^2 that each splat is widened by, in its opacity: small ones far away stay as thin as
+    they are."""
     by_pixel: bool | None = None
     """Blend pixel by pixel rather than row by row; None: on a GPU."""
 
@@ -63,11 +66,15 @@ def rasterise(
     if backend == "reference":
         from hoi.render.reference import rasterise_reference
 
-        return rasterise_reference(splats, camera, background, depth=depth, sh_degree=sh_degree)
+        return rasterise_reference(
+            splats, camera, background, depth=depth, sh_degree=sh_degree, antialiased=settings.antialiased
+        )
     if backend == "gsplat":
         from hoi.render.gsplat_backend import rasterise_gsplat
 
-        return rasterise_gsplat(splats, camera, background, depth=depth, sh_degree=sh_degree)
+        return rasterise_gsplat(
+            splats, camera, background, depth=depth, sh_degree=sh_degree, antialiased=settings.antialiased
+        )
     if backend != "taichi":
         raise InputError(f"backend {backend!r}; allowed are {', '.join(get_args(Backend))}")
     colours = shade(splats, _eye(camera, splats.means), sh_degree)
@@ -86,6 +93,7 @@ def render_frames(
     *,
     sh_degree: int | None = None,
     backend: Backend = "taichi",
+    settings: Settings = Settings(),
 ) -> Iterator[Picture]:
     """Pictures of frames that are made of parts, without gradients.
 
@@ -105,16 +113,18 @@ def render_frames(
     known: dict[int, tuple[Splats, _Flat]] = {}  # the Splats too, so that its id is not given to another
     for parts, camera, background in zip(frames, each_camera, each_background, strict=False):
         if backend != "taichi":
-            yield rasterise(join(parts), camera, background, sh_degree=sh_degree, backend=backend)
+            yield rasterise(join(parts), camera, background, sh_degree=sh_degree, backend=backend, settings=settings)
             continue
         with torch.no_grad():
             known = known if camera is last_camera else {}
-            known = {id(part): known.get(id(part)) or (part, _flat(part, camera, sh_degree)) for part in parts}
+            known = {
+                id(part): known.get(id(part)) or (part, _flat(part, camera, sh_degree, settings)) for part in parts
+            }
             last_camera = camera
             flats = [flat for _, flat in known.values()]
             whole = _Flat(torch.cat([flat.splats for flat in flats]), torch.cat([flat.boxes for flat in flats]))
             behind = _background(background, camera, whole.splats)
-            colour, alpha, _ = _blend(whole, _sort(whole, camera, Settings()), behind, Settings(), False)
+            colour, alpha, _ = _blend(whole, _sort(whole, camera, settings), behind, settings, False)
         yield Picture(colour, alpha)
 
 
@@ -164,13 +174,13 @@ class _Rasterise(torch.autograd.Function):
         flat = _project(means, covariances, opacities, colours, camera, settings)
         tiles = _sort(flat, camera, settings)
         colour, alpha, depth = _blend(flat, tiles, background, settings, deep)
-        ctx.save_for_backward(means, covariances, colour, alpha, depth)
+        ctx.save_for_backward(means, covariances, opacities, colour, alpha, depth)
         ctx.flat, ctx.tiles, ctx.camera, ctx.settings, ctx.deep = flat, tiles, camera, settings, deep
         return colour, alpha, depth
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        means, covariances, colour, alpha, depth = ctx.saved_tensors
+        means, covariances, opacities, colour, alpha, depth = ctx.saved_tensors
         to_colour, to_alpha, to_depth = (gradient.contiguous() for gradient in gradients)
         flat, tiles, settings, deep = ctx.flat, ctx.tiles, ctx.settings, ctx.deep
         rest = (to_colour * colour).sum(-1) + to_alpha * alpha
@@ -183,18 +193,24 @@ class _Rasterise(torch.autograd.Function):
         if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
             pose, lens = _lens(ctx.camera, means.device)
             means, covariances = means.detach().contiguous(), covariances.detach().contiguous()
-            kernels.project_back(means, covariances, pose, lens, flat.boxes, to_splats, to_means, to_covariances)
+            kernels.project_back(
+                settings.antialiased, means, covariances, opacities.detach().contiguous(), pose, lens, flat.boxes,
+                to_splats, to_means, to_covariances,
+            )  # fmt: skip
+        to_opacities = to_splats[:, kernels.OPACITY]
+        if settings.antialiased:
+            to_opacities = to_opacities * flat.splats[:, kernels.OPACITY] / opacities.clamp_min(settings.least_alpha)
         return (
-            to_means, to_covariances, to_splats[:, kernels.OPACITY], to_splats[:, kernels.RED : kernels.BLUE + 1],
+            to_means, to_covariances, to_opacities, to_splats[:, kernels.RED : kernels.BLUE + 1],
             (1 - alpha)[..., None] * to_colour, None, None, None,
         )  # fmt: skip
 
 
-def _flat(part: Splats, camera: Camera, sh_degree: int | None) -> _Flat:
+def _flat(part: Splats, camera: Camera, sh_degree: int | None, settings: Settings = Settings()) -> _Flat:
     check(part)
     colours = shade(part, _eye(camera, part.means), sh_degree)
     _start(part.means)
-    return _project(part.means, part.covariances, part.opacities, colours, camera, Settings())
+    return _project(part.means, part.covariances, part.opacities, colours, camera, settings)
 
 
 def _project(
@@ -209,8 +225,8 @@ def _project(
             array.detach().contiguous() for array in (means, covariances, opacities, colours)
         )
         kernels.project(
-            means, covariances, opacities, colours, pose, lens, settings.least_alpha, camera.width, camera.height,
-            splats, boxes,
+            settings.antialiased, means, covariances, opacities, colours, pose, lens, settings.least_alpha,
+            camera.width, camera.height, splats, boxes,
         )  # fmt: skip
     return _Flat(splats, boxes)
 

@@ -6,6 +6,7 @@ splatting (Zwicker et al. 2001) with the thresholds of 3DGS (Kerbl et al. 2023).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -16,6 +17,8 @@ from hoi.render.splats import Picture, Splats, shade
 
 BLUR = 0.3
 """Added to the diagonal of each projected covariance [px^2]: no Gaussian falls between pixels."""
+LEAST_SHARE = 2.5e-5
+"""Of the determinant before the blur in that after it that `antialiased` takes into account."""
 MAX_ALPHA = 0.999
 MIN_ALPHA = 1 / 255
 """A Gaussian weaker than this at a pixel is skipped there."""
@@ -35,6 +38,7 @@ def rasterise_reference(
     *,
     depth: bool = False,
     sh_degree: int | None = None,
+    antialiased: bool = False,
 ) -> Picture:
     """The picture of `hoi.render.rasterise.rasterise`, in float64 on the splats' device.
 
@@ -54,6 +58,9 @@ def rasterise_reference(
     determinants = xx * yy - xy * xy
     definite = (determinants > 0) & (xx > 0)
     conics = torch.stack([yy, -xy, xx], dim=-1) / determinants[:, None]
+    if antialiased:
+        sharp = (xx - BLUR) * (yy - BLUR) - xy * xy
+        seen = replace(seen, opacities=seen.opacities * (sharp / determinants).clamp_min(LEAST_SHARE).sqrt())
     colours = shade(seen, torch.as_tensor(camera.position, dtype=torch.float64, device=device), sh_degree)
     values = torch.cat([colours, depths[:, None]], dim=1)
 

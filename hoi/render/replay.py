@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ class Person:
     """(N,)."""
     sh: Tensor
     """(N, K, 3), in the T-pose."""
+    surface: Tensor | None = None
+    """Normal and openness in the Gaussians' own frames, (N, 2, 3)."""
 
 
 def person_tensors(body: Body, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Person:
@@ -49,7 +52,11 @@ def person_tensors(body: Body, dtype: torch.dtype = torch.float32, device: torch
         torch.tensor(array, dtype=dtype, device=device)
         for array in (body.cloud.scales, body.cloud.opacities, body.cloud.sh)
     )
-    return Person(body_tensors(body, dtype=dtype, device=device), scales, opacities, sh)
+    surface = None
+    if body.cloud.surface is not None:
+        own = body.cloud.surface.astype(np.float64) @ gaussians.rotation_matrices(body.cloud)
+        surface = torch.tensor(own, dtype=dtype, device=device)
+    return Person(body_tensors(body, dtype=dtype, device=device), scales, opacities, sh, surface)
 
 
 def posed(person: Person, translation: Tensor, orientation: Tensor, body_pose: Tensor) -> list[Splats]:
@@ -59,19 +66,22 @@ def posed(person: Person, translation: Tensor, orientation: Tensor, body_pose: T
         translation: (T, 3) [m], orientation: (T, 6), body_pose: (T, 23, 3) [rad], see `hoi.data.Motion`.
 
     Returns:
-        T Splats: means by linear blend skinning, covariances R diag(scales^2) R^T, harmonics turned by the blended
-        rotation of the joints.
+        T Splats: means by linear blend skinning, covariances R diag(scales^2) R^T, harmonics and surfaces turned by the
+        blended rotation of the joints.
     """
     means, rotations = pose_gaussians(person.body, translation, orientation, body_pose)
     root = rotations * person.scales[:, None, :]
     sigma = root @ root.mT
     turns: Sequence[Tensor | None] = [None] * len(means)
+    surfaces: Sequence[Tensor | None] = [None] * len(means)
+    if person.surface is not None:
+        surfaces = (person.surface @ rotations.mT).unbind()
     if person.sh.shape[1] > 1:
         rest = roma.unitquat_to_rotmat(torch.nn.functional.normalize(person.body.quaternions, dim=-1).roll(-1, -1))
         turns = (rotations @ rest.mT).unbind()
     return [
-        Splats(mean, covariance, person.opacities, person.sh, turn)
-        for mean, covariance, turn in zip(means.unbind(), sigma.unbind(), turns, strict=True)
+        Splats(mean, covariance, person.opacities, person.sh, turn, surface)
+        for mean, covariance, turn, surface in zip(means.unbind(), sigma.unbind(), turns, surfaces, strict=True)
     ]
 
 
@@ -155,8 +165,12 @@ class _MovingObject:
             return replace(self._still, means=means)
         deformation = self._tensor(gaussians.limited(gradient))
         root = deformation @ self._root
-        turns = polar_rotation(deformation) if self._still.sh.shape[1] > 1 else None
-        return replace(self._still, means=means, covariances=root @ root.mT, turns=turns)
+        turns, surface = None, self._still.surface
+        if self._still.sh.shape[1] > 1 or surface is not None:
+            turns = polar_rotation(deformation)
+            surface = surface if surface is None else surface @ turns.mT
+        turns = turns if self._still.sh.shape[1] > 1 else None
+        return replace(self._still, means=means, covariances=root @ root.mT, turns=turns, surface=surface)
 
     def _tensor(self, array: Array) -> Tensor:
         return torch.tensor(array, dtype=torch.float32, device=self._device)
@@ -175,8 +189,15 @@ class Replay:
     Frames may be asked for in any order; in sequence they cost least.
     """
 
-    def __init__(self, scene: Scene, state: State, device: torch.device | str = "cpu") -> None:
-        self.scene, self.state = scene, state
+    def __init__(
+        self, scene: Scene, state: State, device: torch.device | str = "cpu", *, relight: bool = False
+    ) -> None:
+        """
+        Args:
+            relight: captured clouds get the surface that their flattest axes tell, so that light can be put on them.
+        """
+        scene, self.captured = _with_surfaces(scene) if relight else (scene, frozenset())
+        self.scene, self.state, self._device = scene, state, device
         self.fps = scene.fps
         self._parts: dict[str, _MovingPerson | _MovingObject] = {}
         if state.motion is not None:
@@ -190,6 +211,14 @@ class Replay:
         """Of the parts: "person", "object"."""
         return tuple(self._parts)
 
+    def retimed(self, frames: Array, fps: float) -> "Replay":
+        """The replay whose frames are these fractional ones (F,), see `hoi.render.between.at_frames`."""
+        from hoi.render.between import at_frames
+
+        found = Replay(*at_frames(self.scene, self.state, frames, fps), self._device)
+        found.captured = self.captured
+        return found
+
     def parts(self, frame: int) -> tuple[Splats, ...]:
         """Person and object in a frame, whichever the run has.
 
@@ -200,20 +229,36 @@ class Replay:
         with torch.no_grad():
             return tuple(part.at(frame) for part in self._parts.values())
 
-    def action(self) -> Action:
-        """What a camera has to show."""
+    @cached_property
+    def _action(self) -> Action:
         outlines = {name: part.outline() for name, part in self._parts.items()}
         nothing = np.zeros((self.frames, 0, 3))
         return Action(outlines.get("person", nothing), outlines.get("object", nothing), self.fps)
 
+    def action(self) -> Action:
+        """What a camera has to show."""
+        return self._action
 
-def replay(run: Run, device: torch.device | str = "cpu") -> Replay:
+
+def replay(run: Run, device: torch.device | str = "cpu", *, relight: bool = False) -> Replay:
     """Prepare a run, as `hoi.record.read` gives it, for being drawn.
 
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
     """
-    return Replay(scene_of(run), run.state, device)
+    return Replay(scene_of(run), run.state, device, relight=relight)
+
+
+def _with_surfaces(scene: Scene) -> tuple[Scene, frozenset[str]]:
+    """The scene with a surface for clouds that have none, and which parts those are."""
+    captured = set()
+    if scene.body.cloud.surface is None:
+        captured.add("person")
+        scene = replace(scene, body=replace(scene.body, cloud=gaussians.with_surface(scene.body.cloud)))
+    if scene.object is not None and scene.object.cloud.surface is None:
+        captured.add("object")
+        scene = replace(scene, object=replace(scene.object, cloud=gaussians.with_surface(scene.object.cloud)))
+    return scene, frozenset(captured)
 
 
 def _visible(cloud: GaussianCloud) -> NDArray[np.int_]:

@@ -26,6 +26,9 @@ class Splats:
     """Harmonics in the Gaussians' own frames, (N, K, 3), K in {1, 4, 9, 16}; see `hoi.gaussians`."""
     turns: Tensor | None = None
     """Rotations that took the Gaussians from those frames to the world, (N, 3, 3); None: they have not turned."""
+    surface: Tensor | None = None
+    """Normal and openness in the world, (N, 2, 3), see `hoi.data.GaussianCloud`: colours are albedo, until
+    `hoi.render.light` lights them; None: they are as they are seen."""
 
     def __len__(self) -> int:
         return len(self.means)
@@ -50,7 +53,8 @@ def from_cloud(cloud: GaussianCloud, device: torch.device | str = "cpu", dtype: 
         torch.as_tensor(array, dtype=dtype, device=device)
         for array in (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.sh)
     )
-    return Splats(means, covariances(quaternions, scales), opacities, sh)
+    surface = None if cloud.surface is None else torch.as_tensor(cloud.surface, dtype=dtype, device=device)
+    return Splats(means, covariances(quaternions, scales), opacities, sh, surface=surface)
 
 
 def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
@@ -61,7 +65,8 @@ def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
 
 
 def join(parts: Sequence[Splats]) -> Splats:
-    """All Gaussians of the parts as one; harmonics that a part lacks are zero."""
+    """All Gaussians of the parts as one; harmonics that a part lacks are zero. Surfaces are left out: light comes
+    first."""
     if len(parts) == 1:
         return parts[0]
     bands = max(part.sh.shape[1] for part in parts)
@@ -86,7 +91,7 @@ def check(splats: Splats) -> None:
         InputError: a tensor has a wrong shape or holds a number that is not finite.
     """
     count, allowed = len(splats), {"means": [(3,)], "covariances": [(3, 3)], "opacities": [()], "turns": [(3, 3)]}
-    allowed["sh"] = [((degree + 1) ** 2, 3) for degree in range(4)]
+    allowed |= {"sh": [((degree + 1) ** 2, 3) for degree in range(4)], "surface": [(2, 3)]}
     for name, shapes in allowed.items():
         tensor = getattr(splats, name)
         if tensor is None:

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import get_args
 
 from hoi.errors import InputError, RunError
-from hoi.render import Backend
-from hoi.render.cameras import HEIGHT, VIEWS, WIDTH, to_json
+from hoi.render import Backend, Ground
+from hoi.render.cameras import ACTION, HEIGHT, VIEWS, WIDTH, to_json
 from hoi.terminal.arguments import Parser
 from hoi.terminal.interrupt import interruptible
 
-CHOICES = (*VIEWS, "turntable", "all")
+CHOICES = (ACTION, *VIEWS, "turntable", "all")
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -46,13 +46,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("records", type=Path, nargs="+", metavar="RUN.mcap")
-    add("--view", default="three_quarter", metavar="VIEW", help=f"{', '.join(CHOICES)} (default: %(default)s)")
+    add("--view", default=ACTION, metavar="VIEW", help=f"{', '.join(CHOICES)} (default: %(default)s)")
     add("-o", "--out", type=Path, metavar="OUT.mp4", help="the video")
     add("--png", type=Path, metavar="STRIP.png", help="a filmstrip")
     add("--cameras", type=Path, metavar="OUT.json", help="the cameras of the (first) picture, one a frame")
     add("--size", type=_size, default=(WIDTH, HEIGHT), metavar="WxH", help=f"of a picture (default: {WIDTH}x{HEIGHT})")
     add("--frames", type=_frames, metavar="A:B", help="only these, as Python slices; --frames=-10: are the last ten")
     add("--speed", type=float, default=1.0, help="1 is real time, 0.25 slow motion (default: 1)")
+    add("--fps", type=float, help="pictures a second, with moments between the frames (default: each frame once)")
+    add(
+        "--slow", type=float, default=1.0, metavar="4", help="slow motion around the contact, so many times (at 60 fps)"
+    )
+    add("--no-light", action="store_true", help="albedo alone, as people and objects of the package are coloured")
+    add("--no-shadows", action="store_true", help="person and object keep no key light from each other and the ground")
+    add("--relight", action="store_true", help="light on captured Gaussians too, as a gain that keeps their mean")
+    add("--ground", choices=list(Ground), help="what the ground looks like (default: the scene's)")
     add("--freeze", type=int, metavar="FRAME", help="turntable around this moment")
     add("--sh-degree", type=int, choices=range(4), metavar="0..3", help="of the colours (default: all there is)")
     add("--backend", choices=get_args(Backend), default="taichi", help="what draws (default: taichi)")
@@ -69,6 +77,8 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"--size {width}x{height}: even numbers from 16 to 8192 are allowed")
     if not (math.isfinite(options.speed) and options.speed > 0):
         raise InputError(f"--speed {options.speed:g}: more than 0 is allowed")
+    if not 1 <= options.slow <= 100:
+        raise InputError(f"--slow {options.slow:g}: 1 to 100 is allowed")
     if options.freeze is not None and (options.view != "turntable" or options.frames is not None):
         raise InputError("--freeze goes with --view turntable, without --frames")
     for name, kind in {"out": ".mp4", "png": ".png", "cameras": ".json"}.items():
@@ -91,18 +101,29 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     from hoi.files import whole_file
     from hoi.render import panels as side_by_side
+    from hoi.render.light import DAY
+    from hoi.render.look import Look
     from hoi.terminal.progress import bar
 
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found; cpu is allowed")
-    runs, replays = zip(*(side_by_side.load(path, options.device) for path in options.records), strict=True)
-    clock = side_by_side.make_clock(replays, options.frames or slice(None), options.speed, options.freeze)
+    runs, replays = zip(
+        *(side_by_side.load(path, options.device, relight=options.relight) for path in options.records), strict=True
+    )
+    clock = side_by_side.make_clock(
+        replays, options.frames or slice(None), options.speed, options.freeze, options.fps, options.slow
+    )
     labels = side_by_side.labels_of(runs, options.records)
     panels = side_by_side.make_panels(replays, labels, options.view, options.size, clock)
     video = options.out
     if not (options.out or options.png or options.cameras):
         video = options.records[0].with_name(f"{options.view}.mp4")
-    how = side_by_side.Drawing(options.sh_degree, options.backend, options.device)
+    look = Look(
+        light=None if options.no_light else DAY,
+        shadows=not options.no_shadows,
+        ground=options.ground and Ground(options.ground),
+    )
+    how = side_by_side.Drawing(options.sh_degree, options.backend, options.device, look)
     if video:
         with bar("video", len(clock.times)) as advance:
             side_by_side.make_video(panels, clock, video, how, advance)

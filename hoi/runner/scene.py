@@ -38,6 +38,7 @@ def build_scene(
         fps=conf.fps,
         gravity=np.array(conf.gravity),
         planes=tuple(planes.values()),
+        setting=conf.setting.value,
     )
     with under("scene"):
         check_clear(scene.thing, planes)
@@ -56,6 +57,7 @@ def load_body(conf: HumanConf, seed: int) -> Body:
         from hoi.importers.smpl import load_smpl
 
         outfit = conf.person or "man"
+        assert conf.gaussians is not None  # checked by `validate`
         with under("human", "person"):
             return load_smpl(Path(conf.path), conf.betas, conf.gaussians, seed, outfit, conf.pose_correctives)
     from hoi.body.avatar import load_avatar

@@ -12,6 +12,8 @@ from hoi import record
 from hoi.data import Run
 from hoi.errors import about
 from hoi.gaussians import SH_C0
+from hoi.render.film import lit_at
+from hoi.render.look import Look
 from hoi.render.replay import Replay, replay
 from hoi.render.splats import Splats
 
@@ -34,7 +36,7 @@ class Moments:
         Raises:
             InputError: as `hoi.render.replay.replay`.
         """
-        self.run = run
+        self.run, self._look = run, Look()
         self.replay: Replay = replay(run)
         self._kept: dict[int, Moment] = {}
         self._room, self._lock = kept_bytes, threading.Lock()
@@ -54,8 +56,8 @@ class Moments:
         return frame in self._kept
 
     def _made(self, frame: int) -> Moment:
-        parts = zip(self.replay.names, self.replay.parts(frame), strict=True)
-        moment = {name: self._packed(name, splats) for name, splats in parts}
+        seen = lit_at(self.replay, self.replay.parts(frame), self._look)
+        moment = {name: self._packed(name, splats) for name, splats in zip(self.replay.names, seen, strict=True)}
         size = sum(packed.nbytes for packed in moment.values())
         if size <= self._room:
             self._room -= size
@@ -64,7 +66,7 @@ class Moments:
 
     def _packed(self, part: str, splats: Splats) -> Packed:
         last = self._last.get(part)
-        if last is None or last[0] is not splats:  # what has not moved is the same object
+        if last is None or last[0] is not splats:  # what neither moves nor is lit anew is the same object
             last = self._last[part] = splats, pack(splats)
         return last[1]
 

@@ -14,7 +14,7 @@ from hoi.config import CONF
 from hoi.config.compose import one_line
 from hoi.config.validate import to_config
 from hoi.errors import InputError
-from hoi.render.cameras import HEIGHT, VIEWS, WIDTH
+from hoi.render.cameras import ACTION, HEIGHT, VIEWS, WIDTH
 from hoi.stages.attraction.windowed import Windowed
 from hoi.stages.contact import Detection
 from hoi.stages.motion.hmsd import HMSD
@@ -74,8 +74,8 @@ def test_an_object_brings_its_material_and_the_command_line_beats_it(composed):
 
 
 def test_every_view_can_be_filmed(composed):
-    assert [view.value for view in View] == list(VIEWS)
-    for name in VIEWS:
+    assert [view.value for view in View] == [ACTION, *VIEWS]
+    for name in (ACTION, *VIEWS):
         render = to_config(composed(f"render.view={name}")).render
         assert isinstance(render, Video) and render.view.value == name
         assert (render.width, render.height) == (WIDTH, HEIGHT)

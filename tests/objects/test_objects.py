@@ -15,6 +15,7 @@ from hoi.data import Array, GaussianCloud, Material
 from hoi.errors import InputError
 from hoi.objects import filling, load, shapes
 from hoi.objects.solidity import THICKNESS
+from hoi.render.light import lit_cloud
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "objects"
 WOOD = Material("wood", "neo_hookean", 1e6, 0.3, 400.0, 0.5, 0.5)
@@ -52,7 +53,22 @@ def test_builtin_is_a_closed_coloured_surface(name: str, factor: float) -> None:
     assert np.ptp(surface.cloud.means, axis=0) == pytest.approx(extent, rel=2e-3)
     assert 1000 <= len(surface.cloud) <= 12500
     rgb = gaussians.colours(surface.cloud)
-    assert rgb.min() >= 0 and rgb.max() <= 1 and np.ptp(rgb, axis=0).max() > 0.3
+    assert rgb.min() >= 0 and rgb.max() <= 1
+    assert np.ptp(gaussians.colours(lit_cloud(surface.cloud)), axis=0).max() > 0.3  # as it is seen
+
+
+@pytest.mark.parametrize("name", shapes.SHAPES)
+def test_reliefs_bend_the_light_and_leave_the_shape(name: str) -> None:
+    shape = shapes.SHAPES[name]
+    cloud, even = (shapes.build(each, 1.0).cloud for each in (shape, replace(shape, relief=None)))
+    np.testing.assert_array_equal(cloud.means, even.means)
+    normals, openness = cloud.surface.astype(np.float64).transpose(1, 0, 2)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=2e-3)
+    assert (np.linalg.norm(openness, axis=1) <= 1.002).all()
+    turned = np.degrees(np.arccos(np.clip((normals * even.surface[:, 0]).sum(1), -1, 1)))
+    assert turned.max() < 50
+    if shape.relief is not None:
+        assert turned.mean() > 0.3 and np.linalg.norm(openness, axis=1).min() < 0.99
 
 
 @pytest.mark.parametrize("name", ["soccer_ball", "cardboard_box", "sand_bag"])

@@ -95,6 +95,24 @@ def test_tiny_gaussians():
     compare(random_splats(9, 200, 1, size=1e-3), camera())
 
 
+@pytest.mark.parametrize("view", [camera(), camera(40, 30)], ids=["near", "small"])
+@pytest.mark.parametrize("size", [0.004, 0.05])
+def test_with_antialiasing(size: float, view: Camera):
+    """In float64 against autograd, of Gaussians below a pixel and above."""
+    splats = random_splats(11, 200, 1, size=size, turned=True)
+    made, expected = leaves(splats), leaves(splats)
+    weighed(rasterise(splats, view, (0.2, 0.5, 0.9), depth=True, settings=Settings(antialiased=True))).backward()
+    ours = {name: tensor.grad for name, tensor in made.items()}
+    for tensor in made.values():
+        tensor.grad = None
+    weighed(rasterise_reference(splats, view, (0.2, 0.5, 0.9), depth=True, antialiased=True)).backward()
+    for name, gradient in ours.items():
+        judge = expected[name].grad
+        assert gradient is not None
+        gradient = (gradient + gradient.mT) / 2 if name == "covariances" else gradient
+        agree(gradient, judge, name)
+
+
 def test_in_float64_only_rounding_is_left():
     made, expected = leaves(random_splats(14, 200, 2, turned=True)), leaves(random_splats(14, 200, 2, turned=True))
     weighed(rasterise(Splats(**made), camera(), depth=True)).backward()

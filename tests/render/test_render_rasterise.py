@@ -149,6 +149,26 @@ def test_of_two_as_near_the_first_is_in_front():
     compare(balls([[0.01 * i, 0, 2.0] for i in range(40)], 0.2, 0.5, rgb), straight())
 
 
+@pytest.mark.parametrize("size", [0.002, 0.02, 0.2])
+def test_antialiased_as_the_reference(size: float):
+    splats = random_splats(12, 800, 1, size=size, turned=True)
+    made = rasterise(splats, camera(), COLOURED, settings=Settings(antialiased=True))
+    expected = rasterise_reference(splats, camera(), COLOURED, antialiased=True)
+    assert (made.colour - expected.colour).abs().max() < 1e-9
+
+
+@pytest.mark.parametrize("pixels", [0.3, 0.6, 1.5, 2.5])
+def test_antialiased_gaussians_cover_as_much_as_they_are_large(pixels: float):
+    """The integral of o exp(-d^2 / 2) is 2 pi s^2 o, however small s is; without the filter it is too much by far."""
+    view, faint = straight(), 0.2
+    ball = balls([[0, 0, 1.0]], pixels / view.fx, faint)
+    settings = Settings(antialiased=True, least_alpha=1e-9)
+    area = 2 * np.pi * pixels**2 * faint
+    assert rasterise(ball, view, settings=settings).alpha.sum().item() == pytest.approx(area, rel=2e-3)
+    if pixels < 1:
+        assert rasterise(ball, view, settings=replace(settings, antialiased=False)).alpha.sum().item() > 1.6 * area
+
+
 # --- where the camera stands -----------------------------------------------------------------------------------------
 
 

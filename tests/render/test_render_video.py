@@ -97,7 +97,7 @@ def test_person_and_object_are_where_they_should_be(demo, view):
     if view != "top":
         assert head[1] < foot[1] - 20  # the right way up
         hair = changed[round(head[1]) - 8 : round(head[1]) + 4, round(head[0]) - 5 : round(head[0]) + 5]
-        assert hair.min() < 120 and changed[3].min() > 200  # the head is at the head, the sky is light
+        assert hair.min() < 150 and changed[3].min() > 200  # the head is at the head, the sky is light
 
 
 def joints(shown, frame, which):
@@ -120,14 +120,14 @@ def test_what_stands_still_is_not_worked_out_again(demo, monkeypatch):
     """The ball lies until it is struck; the backdrop of a camera that stands is drawn once."""
     cast, made = [], []
     one_cast, backdrop = film_module.cast, film_module.Backdrop
-    monkeypatch.setattr(film_module, "cast", lambda part: cast.append(len(part)) or one_cast(part))
+    monkeypatch.setattr(film_module, "cast", lambda part, beam: cast.append(len(part)) or one_cast(part, beam))
     monkeypatch.setattr(film_module, "Backdrop", lambda *a, **k: made.append(a) or backdrop(*a, **k))
     run = demo[0]
     still = np.repeat(run.state.trajectory.positions[:1], 12, 0)
     trajectory = replace(run.state.trajectory, positions=still, deformation_gradient=None)
     shown = replay(replace(run, state=replace(run.state, trajectory=trajectory)))
     assert len(list(film(shown, cameras_of(shown, "side", *SIZE)))) == 12
-    assert cast.count(60) == 1 and cast.count(600) == 12 and len(made) == 1
+    assert cast.count(60) == 2 and cast.count(600) == 24 and len(made) == 1
     assert len(list(film(shown, cameras_of(shown, "follow", *SIZE)))) == 12 and len(made) == 13
 
 
@@ -274,7 +274,10 @@ def test_parts_that_are_absent(demo, tmp_path):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (["--view", "left"], "--view left: allowed are front, side, three_quarter, back, top, follow, turntable, all"),
+        (
+            ["--view", "left"],
+            "--view left: allowed are action, front, side, three_quarter, back, top, follow, turntable, all",
+        ),
         (["--size", "97x64"], "--size 97x64: even numbers from 16 to 8192 are allowed"),
         (["--size", "8x8"], "--size 8x8: even numbers from 16 to 8192 are allowed"),
         (["--frames", "12:"], "--frames: none of the frames 0 to 11 is left"),

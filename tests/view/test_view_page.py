@@ -19,6 +19,7 @@ from hoi import record
 from hoi.data import Plane, Run, State
 from hoi.errors import InputError
 from hoi.export.page import STEP, page, part_of, write_page
+from hoi.gaussians import SH_C0
 from hoi.render.cameras import FOV_Y, Camera, look_at, project
 from hoi.render.replay import replay
 from hoi.render.splats import Splats
@@ -64,10 +65,11 @@ def test_the_page_holds_every_gaussian_of_every_frame(demo, file):
     assert facts["frames"] == FRAMES and [part["name"] for part in facts["parts"]] == ["person", "object"]
     for index, part in enumerate(facts["parts"]):
         count = part["count"]
-        rgba, radii, origins = take("u1", count, 4), take("<f4", count), take("<f4", FRAMES, 3)
+        opacities, radii, origins = take("u1", count), take("<f4", count), take("<f4", FRAMES, 3)
         low, high = (take("u1", FRAMES, 3, count).astype(np.int64) for _ in range(2))
         places = np.cumsum(low + 256 * high, 0) % 65536
         factors = np.cumsum(take("u1", FRAMES, 6, count).astype(np.int64), 0).astype(np.uint8).view(np.int8)
+        colours = np.cumsum(take("u1", FRAMES, 3, count).astype(np.int64), 0) % 256
         for frame in range(FRAMES):
             splats = shown.parts(frame)[index]
             means = origins[frame] + part["step"] * places[frame].T
@@ -76,7 +78,9 @@ def test_the_page_holds_every_gaussian_of_every_frame(demo, file):
             root[:, *np.tril_indices(3)] = factors[frame].T * radii[:, None] / 127
             sigma = splats.covariances.numpy()
             np.testing.assert_allclose(root @ root.transpose(0, 2, 1), sigma, atol=0.03 * sigma.max())
-            np.testing.assert_allclose(rgba[:, 3] / 255, splats.opacities.numpy(), atol=1 / 255)
+            np.testing.assert_allclose(opacities / 255, splats.opacities.numpy(), atol=1 / 255)
+            rgb = (0.5 + SH_C0 * splats.sh[:, 0].numpy()).clip(0, 1)
+            np.testing.assert_allclose(colours[frame].T / 255, rgb, atol=1 / 255)
     assert read.read() == b""
 
 
@@ -87,10 +91,10 @@ def test_rounding_of_far_flat_and_broken_gaussians():
     broken = replace(still, means=means.clone())
     broken.means[3, 0] = float("nan")
     pale = replace(still, opacities=torch.tensor([1.0, float("nan"), 1, 1]))
-    assert part_of([pale]).rgba[:, 3].tolist() == [255, 0, 255, 255]
+    assert part_of([pale]).opacities.tolist() == [255, 0, 255, 255]
     part = part_of([still, broken])
     back = part.origins[:, None] + part.step * part.positions
-    assert part.step == pytest.approx(60 / 65535) and part.rgba[:, 3].tolist() == [255, 255, 255, 0]
+    assert part.step == pytest.approx(60 / 65535) and part.opacities.tolist() == [255, 255, 255, 0]
     np.testing.assert_allclose(back[1, :3], means[:3], atol=0.51 * part.step)
     np.testing.assert_allclose(part.factors[0, 0] / 127 * part.radii[0], [0.01, 0, 0.01, 0, 0, 0], atol=1e-4)
 
