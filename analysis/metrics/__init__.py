@@ -5,10 +5,10 @@ particles in the same way for every system; what a run says of itself is used on
 (t_c, j_c, V_post, seconds). A number that a run does not define is NaN, never 0.
 """
 
-from . import camera, contact, cost, evaluator, flight, penetration, person
+from . import camera, contact, cost, dynamics, evaluator, flight, penetration, person
 from .metric import Metric
 
-CONTACT, OBJECT, PERSON, CAMERA, COST = "Contact", "Object", "Person", "Camera", "Cost"
+CONTACT, OBJECT, PERSON, DYNAMICS, CAMERA, COST = "Contact", "Object", "Person", "Dynamics", "Camera", "Cost"
 
 _ALL = (
     Metric("contact_any", "contact, any limb", "-", "higher", contact.touched, CONTACT),
@@ -38,6 +38,14 @@ _ALL = (
     Metric("joint_limits", "beyond joint limits", "-", "lower", person.joint_limits, PERSON),
     Metric("feet_depth", "feet in ground, deepest", "m", "lower", penetration.feet_ground_depth, PERSON),
     Metric("feet_volume", "feet in ground, volume", "L", "lower", penetration.feet_ground_volume, PERSON),
+    Metric("momentum_gap", "momentum from nowhere", "N s", "lower", dynamics.momentum_gap, DYNAMICS),
+    Metric("momentum_gap_share", "momentum from nowhere", "%", "lower", dynamics.momentum_gap_share, DYNAMICS),
+    Metric("root_force", "force from nowhere", "N", "lower", dynamics.root_force, DYNAMICS),
+    Metric("root_force_95", "force from nowhere, 95%", "N", "lower", dynamics.root_force_high, DYNAMICS),
+    Metric("root_torque", "torque from nowhere", "N m", "lower", dynamics.root_torque, DYNAMICS),
+    Metric("root_torque_95", "torque from nowhere, 95%", "N m", "lower", dynamics.root_torque_high, DYNAMICS),
+    Metric("beyond_strength", "joints beyond strength", "-", "lower", dynamics.beyond_strength, DYNAMICS),
+    Metric("strain", "largest torque over strength", "-", "lower", dynamics.greatest_strain, DYNAMICS),
     Metric("framed", "limb and object in the picture", "-", "higher", camera.framed, CAMERA),
     Metric("contact_in_picture", "contact in the picture at t_c", "-", "higher", camera.contact_in_picture, CAMERA),
     Metric("contact_seen", "contact not hidden at t_c", "-", "higher", camera.contact_seen, CAMERA),
@@ -52,5 +60,5 @@ _ALL = (
 
 METRICS: dict[str, Metric] = {metric.key: metric for metric in _ALL}
 
-GROUPS = (CONTACT, OBJECT, PERSON, CAMERA, COST)
+GROUPS = (CONTACT, OBJECT, PERSON, DYNAMICS, CAMERA, COST)
 """The tables that the metrics stand in."""

@@ -19,22 +19,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hoi.body.articulated import ROOT, Articulated
-from hoi.body.footing import FEET, LOW
 from hoi.body.interpolate import interpolate_motion
-from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_paths, stand_motion
+from hoi.body.strength import FEET, LOW, SOLE_FRICTION, torque_limits
 from hoi.data import Array, Body, Motion
 from hoi.errors import RunError
 
-TORQUES = {
-    "hip": 3.3, "knee": 3.2, "ankle": 2.0, "foot": 0.3, "spine1": 3.5, "spine2": 3.5, "spine3": 3.5, "neck": 0.6,
-    "head": 0.6, "collar": 1.4, "shoulder": 1.2, "elbow": 1.0, "wrist": 0.25, "hand": 0.1,
-}  # fmt: skip
-"""The most that muscles give about a joint [N m per kg of body]: legs after Anderson, Madigan and Nussbaum (2007), arms
-after Holzbaur et al. (2007), neck after Vasavada, Li and Delp (2001), rounded; trunk and collar bones as strong as the
-hips and shoulders need."""
-SOLE_FRICTION = 0.8
-"""Coulomb coefficient of a shoe on a dry floor [-]."""
 STEP = 0.4
 """How far from its stance a person puts a foot to keep its balance: there the ground can push up too [m]."""
 LONGEST_STEP = 0.001
@@ -95,8 +85,7 @@ class Person:
         frames = np.clip((start + self._tick * np.arange(count + 1)) * motion.fps, 0, len(motion) - 1)
         self._path = self.parts.coordinates(motion, frames)
         self._speeds = [self.parts.difference(a, b) / self._tick for a, b in pairwise(self._path)]
-        limits = [next(TORQUES[key] for key in TORQUES if JOINT_NAMES[j].endswith(key)) for j in self.parts.links[1:]]
-        self._limits = self.parts.mass * np.array(limits)
+        self._limits = self.parts.mass * torque_limits(self.parts.links[1:])
         joints = joint_paths(body, motion)
         standing = joint_paths(body, stand_motion(body, 1, motion.fps))[0, :, 2]
         self._ground = _grounds(joints, standing)

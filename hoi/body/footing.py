@@ -6,14 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hoi.body.strength import FEET, LOW
 from hoi.data import Array
 
-FEET = (7, 8, 10, 11)
-"""Ankles and toe joints."""
 SLOW = 0.9
 """A planted joint is slower [m/s]: sqrt(0.002) m a frame at 20 FPS, the threshold of HumanML3D's foot contacts."""
-LOW = 0.05
-"""... and less than this above its height in standing [m]."""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ class Refused(ValueError):
 
 
 _CONTACT_VECTORS = ("point", "normal", "v_human", "v_object", "v_post", "impulse")
+_MAY_BE_UNKNOWN = ("v_formula",)
+"""NaN where a system or an older record does not say it."""
 
 
 def check_chunks(file: IO[bytes], chunks: Iterable[ChunkIndex]) -> None:
@@ -141,7 +143,7 @@ def check_finite(run: Run) -> None:
     for owner_name, owner in owners.items():
         for f in fields(owner) if owner is not None else ():
             array = getattr(owner, f.name)
-            if isinstance(array, np.ndarray) and not np.isfinite(array).all():
+            if f.name not in _MAY_BE_UNKNOWN and isinstance(array, np.ndarray) and not np.isfinite(array).all():
                 where = np.argwhere(~np.isfinite(array))[0].tolist()
                 raise Refused(f"{owner_name}.{f.name} has {array[tuple(where)]} at {where}, must be finite")
 

@@ -114,7 +114,7 @@ def test_v_post_against_the_formula(demo):
     formula = push.v_object + 1.8 * v_in * push.normal  # the demo's ball has e = 0.8
 
     def given(v_post):
-        search = replace(demo.state.contact, contacts=(replace(push, v_post=v_post),))
+        search = replace(demo.state.contact, contacts=(replace(push, v_in=v_in, v_post=v_post),))
         return record(stated(demo, contact=search))
 
     assert METRICS["v_post_formula"](given(formula)) < 1e-12
