@@ -85,7 +85,9 @@ def test_without_phases_every_step_is_taken(scene_of):
     from hoi.mpm.solver import simulate
     from hoi.mpm.state import initial_state
 
-    config, scene = scene_of(COARSE, "stage.object.phases=false", "scene.placement.velocity=[1,0,2]")
+    config, scene = scene_of(
+        COARSE, "stage.object.phases=false", "stage.object.damping=false", "scene.placement.velocity=[1,0,2]"
+    )
     scene = replace(scene, frames=3)
     move = mover_of(config)
     trajectory, states = run_stage(lambda stage: free_motion(scene, move, stage))
