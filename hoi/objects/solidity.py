@@ -2,7 +2,7 @@
 
 Surface points are closed to a wall; what a flood from outside cannot reach is hollow; solid is what lies nearer to the
 hollow than to the outside, so that of the wall, however thick the capture made it, the inner half counts. What holds no
-hollow, like a leaf, is a sheet of a set thickness.
+hollow, like a leaf, is a sheet of a set thickness. Z is up: what stands open on the ground is closed by it.
 """
 
 from dataclasses import dataclass
@@ -65,13 +65,16 @@ def solid_of(cloud: GaussianCloud) -> Solid:
     surface = _covered(cloud, lower, cell, counts)
 
     apart = _distance(surface) * cell
-    outside = _flooded(apart > near)
-    hollow = (apart > near) & ~outside
+    below = np.zeros(counts, bool)  # the underside of what stands is rarely seen: no flood comes from there
+    below[:, :, : int((means[:, 2].min() - lower[2]) / cell)] = True
+    outside = _flooded((apart > near) & ~below)
+    hollow = (apart > near) & ~below & ~outside
+    outside |= (apart > near) & below
     if wide > near:
-        far = _flooded(apart > wide)
-        sealed = (apart > wide) & ~far  # hollow once wider openings are closed too
+        far = _flooded((apart > wide) & ~below)
+        sealed = (apart > wide) & ~below & ~far  # hollow once wider openings are closed too
         if (sealed & outside).sum() > 0.05 * max(sealed.sum(), 1):
-            leaked = outside & (_distance(sealed) < _distance(far))
+            leaked = outside & (_distance(sealed) < _distance(far | below))
             hollow, outside = hollow | leaked, outside & ~leaked
     to_outside = _distance(outside) * cell
     wall = np.zeros(counts)

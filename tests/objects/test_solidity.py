@@ -88,6 +88,14 @@ def test_volume_knows_neither_units_nor_direction() -> None:
     assert solid_of(transform(cloud, turn, 200.0, [5, 6, 7])).volume == pytest.approx(truth * 200**3, rel=0.05)
 
 
+def test_an_underside_that_nobody_saw_is_closed() -> None:
+    crate = box([1, 0.8, 0.6], [0, 0, 0], 0.02)
+    unseen = select(crate, crate.means[:, 2] > -0.299)
+    assert solid_of(unseen).volume == pytest.approx(0.48, rel=0.05) and solid_of(unseen).enclosed > 0.95
+    open_above = select(crate, crate.means[:, 2] < 0.299)
+    assert solid_of(open_above).enclosed < 0.1
+
+
 def test_a_larger_hole_than_stated_makes_it_a_bowl() -> None:
     open_ = solid_of(punctured(0.5))
     assert open_.enclosed < 0.05 and open_.volume == pytest.approx(THICKNESS * np.pi, rel=0.2)
