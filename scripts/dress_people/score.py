@@ -45,8 +45,12 @@ def main() -> None:
         middle = (scene.vertices.max(0) + scene.vertices.min(0)) / 2
         eyes = scene.vertices[scene.vertices[:, 1] > scene.vertices[:, 1].max() - 0.2].mean(0)
         cameras = (
-            look_at(middle + np.array([1.6, 0.5, 3.6]), middle, width=480, height=720, fov_y=np.radians(28), up=(0, 1, 0)),
-            look_at(eyes + np.array([0.3, 0.05, 0.95]), eyes, width=480, height=480, fov_y=np.radians(24), up=(0, 1, 0)),
+            look_at(
+                middle + np.array([1.6, 0.5, 3.6]), middle, width=480, height=720, fov_y=np.radians(28), up=(0, 1, 0)
+            ),
+            look_at(
+                eyes + np.array([0.3, 0.05, 0.95]), eyes, width=480, height=480, fov_y=np.radians(24), up=(0, 1, 0)
+            ),
         )
         cells = []
         with torch.no_grad():
