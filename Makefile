@@ -50,6 +50,9 @@ report: $(READY)  ## one HTML page of all runs: tables, filmstrips, videos, plan
 stability: $(READY)  ## extreme cases of the object's MPM: a map of where it holds
 	$(BIN)/python -m analysis.stability $(ARGS)
 
+reality: $(READY)  ## drops, rolling, sliding, sand against published numbers: table and plot in runs/reality
+	$(BIN)/python -m analysis.reality $(ARGS)
+
 sweep: $(READY)  ## the benchmark on all cores: ten scenes, the method and its ablations
 	$(BIN)/python -m hoi.run --config-dir sweeps --config-name ablations hydra/launcher=joblib $(ARGS)
 
@@ -66,4 +69,4 @@ docs: $(READY)  ## the documentation as a site, into site/: open site/index.html
 clean:  ## remove the environment, the runs and the site
 	rm -rf .venv runs site
 
-.PHONY: help setup run test test-fast lint bench precision table report stability sweep variations smoke docs clean
+.PHONY: help setup run test test-fast lint bench precision table report stability reality sweep variations smoke docs clean

@@ -149,6 +149,8 @@ class SceneObject:
     """What loading did to it: Gaussians dropped, filled, and why."""
     other_materials: tuple[Material, ...] = ()
     """Materials of its other regions."""
+    drawn: GaussianCloud | None = None
+    """What is shown of it where that is more than `cloud`: carried by the particles, see `hoi.objects.carrying`."""
     region: NDArray[np.int32] | None = None
     """Index of each particle's material in `materials`, shape (P,); None: all of `material`."""
 

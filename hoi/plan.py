@@ -5,8 +5,9 @@ An omission is exact or carries its error bound. Each option of a stage adds its
 """
 
 import math
+from pathlib import Path
 
-from hoi.config import Ablation, Config, MaterialConf
+from hoi.config import Ablation, Config, MaterialConf, ObjectKind
 from hoi.data import Check, Material, Plan
 from hoi.errors import InputError, under
 from hoi.stages.contract import Draft, labels
@@ -82,6 +83,11 @@ def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check
         names = ["the ground"] if config.scene.ground else []
         names += [f"{wall.contact.value} at {wall.point} facing {wall.normal}" for wall in walls]
         checks.append(Check("planes", str(len(names)), "; ".join(names) or "empty space"))
+    thing = config.object
+    if thing.kind is ObjectKind.file and thing.up == "auto" and thing.path is not None and Path(thing.path).exists():
+        from hoi.objects.load import up_in
+
+        checks.append(Check("up", *up_in(Path(thing.path))))
     if len(materials) > 1:
         checks.append(Check("materials", str(len(materials)), ", ".join(material.name for material in materials)))
     return checks

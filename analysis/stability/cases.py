@@ -61,6 +61,8 @@ class Case:
     kick: float = 0.0
     """Speed of the limb in an impulse towards `heading` at half time, in wave speeds [-]."""
     kick_restitution: float = 0.0
+    rebound: float = 1.0
+    """What its own loss leaves it of its speed in a bounce [-]; 1: elastic."""
 
     planes: Literal["none", "plane", "wedge", "corner"] = "plane"
     tilt: float = 0.0
@@ -121,12 +123,12 @@ class Case:
     @property
     def compile_key(self) -> tuple[str, str, str]:
         """Cases of one key run the same compiled kernels."""
-        return self.precision, self.model, self.spline
+        return self.precision, self.model + ("" if self.rebound == 1 else ", damped"), self.spline
 
 
 SYMBOLS = {
     "youngs_modulus": "E", "poisson_ratio": "nu", "density": "rho", "particles": "P", "size": "L", "speed": "v",
-    "spin": "w", "gravity": "g", "gap": "gap", "kick": "kick", "kick_restitution": "e",
+    "spin": "w", "gravity": "g", "gap": "gap", "kick": "kick", "kick_restitution": "e", "rebound": "r",
     "tilt": "tilt", "collider": "u", "dt_share": "dt", "duration": "t", "frames": "n", "friction": "f",
     "yield_strain": "yield", "hardening": "hard", "relaxation": "relax", "friction_angle": "angle",
     "critical_compression": "crit", "other_stiffness": "ratio",
@@ -203,6 +205,8 @@ def _families() -> list[Case]:
         *grid("step_in_a_crash", replace(base, lasts=300), model=MODELS, dt_share=[0.5, 0.9]),
         *grid("crash", replace(base, lasts=300), model=tuple(PLASTIC), youngs_modulus=[1e4, 1e7],
               speed=[10.0, 44.0, 100.0]),
+        *grid("damping", base, rebound=[0.2, 0.5, 0.8, 1.0], youngs_modulus=[1e3, 1e5, 1e7, 1e9], size=[0.02, 2.0]),
+        *grid("damping_by_model", base, model=(*ELASTIC, "von_mises"), rebound=[0.2, 0.6], speed=[1.0, 10.0]),
         *_plastic(base),
         *grid("two_materials", replace(base, speed=1.0), model=MODELS[:5], other_stiffness=[0.1, 10.0, 1e4]),
         *grid("gravity", still, model=ELASTIC, youngs_modulus=[1e3, 1e6], gravity=[0.0, 1.62, 1e3, 1e5]),

@@ -120,6 +120,7 @@ class _Trial:
             self.volumes,
             self.materials,
             region=self.region,
+            rebound=None if self.case.rebound == 1 else [self.case.rebound],
             dx=self.case.dx,
             dt=self.dt,
             gravity=self.gravity,

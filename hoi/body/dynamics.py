@@ -29,6 +29,8 @@ STEP = 0.4
 """How far from its stance a person puts a foot to keep its balance: there the ground can push up too [m]."""
 LONGEST_STEP = 0.001
 """Of the person [s]."""
+SOFTEST = 0.2
+"""The least share of its pull that is left to a spring whose muscles are at their limit [-]."""
 WHIPPED = 50.0
 """A joint that turns faster than told by this is beyond what it was made for [rad/s]: the fastest that people turn one
 in sports (the elbow of a pitcher: 40; knees and hips in kicks: 30) ..."""
@@ -188,9 +190,10 @@ class Person:
     def _step(self, h: float) -> None:
         """One step: M (q'_1 - q'_0) = h (f + tau - C), q <- q + h q'_1.
 
-        f is what the motion takes where it should be. tau is what it takes besides to bring every deviation back as a
-        critically damped spring would after the step, which is stable however stiff that is, cut down to what muscles
-        and the ground give. The weight is left out of both: it is carried in every pose as it was in the motion's.
+        f is what the motion takes where it should be. tau is what it takes besides to go on with it from where the body
+        is, and to bring every deviation back as a critically damped spring would after the step, which is stable
+        however stiff that is; as far as muscles and the ground give it. The weight is left out of both: it is carried
+        in every pose as it was in the motion's.
         """
         parts = self.parts
         now, self._now = self._now, self.told(self.time + h)
@@ -198,20 +201,18 @@ class Person:
         apart, rate = parts.difference(self.q, now), self._told - self.rates
         stiff = (h * self.frequency) ** 2
         back = rate - (rate - h * self.frequency**2 * apart) / (1 + 2 * h * self.frequency + stiff)
-        change = told - self._told + back
+        change = told - self._told
         parts.place(now, self._told, self._ghost)
-        taken = parts.impulse(told - self._told, h, self._ghost)
+        taken = parts.impulse(change, h, self._ghost)
         taken[3:ROOT] = self._turn.T @ self._ghost.xmat[1].reshape(3, 3) @ taken[3:ROOT]
-        needed = parts.impulse(change, h) - taken
-        given = self._bounded(needed / h) * h
+        inertia = parts.inertia()
+        change += self._given((parts.impulse(change, h) - taken) / h, back, inertia, h)
         rates = self.rates + change
-        ahead = self.rates - told
-        whipped = abs(ahead[ROOT:]) > WHIPPED
-        if (given != needed).any() or whipped.any():
-            system = parts.inertia()
-            lacks = system @ (rates - told) + given - needed
+        whipped = abs(self.rates - told)[ROOT:] > WHIPPED
+        if whipped.any():
+            system = inertia.copy()
             system[np.diag_indices_from(system)] += h / TISSUE * self._heft * np.concatenate([np.zeros(ROOT), whipped])
-            rates = told + cho_solve(cho_factor(system), lacks)
+            rates = told + cho_solve(cho_factor(system), inertia @ (rates - told))
             change = rates - self.rates
         acted, lifted = parts.impulse(change, h), parts.mass * self.gravity * h
         middle = 0.5 * (rates + self.rates)
@@ -227,21 +228,26 @@ class Person:
         """Of the pelvis, from its own axes to the world's, (3, 3)."""
         return self.parts.data.xmat[1].reshape(3, 3)
 
-    def _bounded(self, forces: Array) -> Array:
-        """Generalised forces (nv,) cut down to what the ground and muscles give.
+    def _given(self, on: Array, back: Array, inertia: Array, h: float) -> Array:
+        """What the rates change by, (nv,), besides as told, where muscles and the ground give no more than they can.
 
-        Where the ground gives less, the joints take what they would for the same bending of the body on less ground.
+        Where a joint would have to give more than its muscles, the pull is softer in all joints: so it stays that of a
+        spring towards the motion. Cut down joint by joint it would not, and could drive the body instead. Where the
+        ground gives less, the joints bend as they would, and the pelvis goes where that takes it.
+
+        Args:
+            on: what it takes to go on from here, (nv,) [N, N m]. back: what the rates are to change by, (nv,), in the
+            time h, to come back. inertia: M.
         """
-        bounded = forces.copy()
-        bounded[:ROOT] = self._from_ground(forces[:ROOT])
-        if (less := bounded[:ROOT] - forces[:ROOT]).any():
-            inertia = self.parts.inertia()
-            bounded[ROOT:] += inertia[ROOT:, :ROOT] @ np.linalg.solve(inertia[:ROOT, :ROOT], less)
-        joints = bounded[ROOT:].reshape(-1, 3)
-        strength = np.sqrt(np.einsum("ji,ji->j", joints, joints))
-        if (strength > self._limits).any():
-            joints *= np.minimum(1.0, self._limits / np.maximum(strength, 1e-12))[:, None]
-        return bounded
+        pull = inertia @ back / h
+        needs, pulls = (np.sqrt((part[ROOT:].reshape(-1, 3) ** 2).sum(axis=1)) for part in (on, pull))
+        softer = float(np.clip((self._limits - needs) / np.maximum(pulls, 1e-12), SOFTEST, 1.0).min())
+        wrench = (on + softer * pull)[:ROOT]
+        change = softer * back
+        less = self._from_ground(wrench) - wrench
+        if less.any():
+            change[:ROOT] += h * np.linalg.solve(inertia[:ROOT, :ROOT], less)
+        return change
 
     def _from_ground(self, wrench: Array) -> Array:
         """A force [N] in the world and a torque [N m] in the pelvis' axes, (6,), as far as the feet can give them.

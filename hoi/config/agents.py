@@ -65,15 +65,18 @@ class ObjectConf:
     shape: str | None = None
     """Which of the shapes in the package, for kind=builtin."""
     path: str | None = None
-    """3DGS file (.ply, .splat, .spz), for kind=file."""
+    """3DGS file (.ply, .splat, .ksplat, .spz, .sog, .glb), for kind=file."""
     size: float = MISSING
     """Largest extent [m]."""
     up: str = MISSING
-    """The file's up axis: +x, -x, +y, -y, +z or -z."""
+    """The file's up axis: +x, -x, +y, -y, +z or -z; auto takes what the file says, or else its format's way."""
     stable: bool = MISSING
     """Stays where it is when put on the ground: its motion at rest need not be simulated."""
     max_gaussians: int = MISSING
-    """A larger cloud is thinned to this."""
+    """A larger cloud is thinned to this; they are the particles of the surface."""
+    max_drawn: int | None = None
+    """More than these of a file are not shown: what lies between the two limits is carried by the particles. null shows
+    what is simulated."""
     regions: list[RegionConf] = field(default_factory=list)
     """Parts of other materials; where they overlap, the later one holds."""
 

@@ -108,9 +108,12 @@ def validate(config: Config) -> list[str]:
     if config.object.kind is ObjectKind.file:
         require(config.object.path is not None, "object.path", config.object.path, "the path of a 3DGS file")
     require(config.object.size > 0, "object.size", config.object.size, "greater than 0 [m]")
-    axes = ("+x", "-x", "+y", "-y", "+z", "-z")
+    axes = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
     require(config.object.up in axes, "object.up", config.object.up, f"one of {', '.join(axes)}")
     require(config.object.max_gaussians >= 100, "object.max_gaussians", config.object.max_gaussians, "100 or more")
+    drawn = config.object.max_drawn
+    require(drawn is None or drawn >= config.object.max_gaussians, "object.max_drawn", drawn,
+            f"null or no less than object.max_gaussians, {config.object.max_gaussians}")  # fmt: skip
     materials = {"material": config.material}
     for index, region in enumerate(config.object.regions):
         name, box = f"object.regions.{index}", region.box

@@ -21,6 +21,10 @@ CHOICES = {
     "ply": ("ply/", "all Gaussians in INRIA's layout, a file a frame"),
     "splat": ("splat/", "the same as .splat, 32 bytes a Gaussian"),
     "spz": ("spz/", "the same as .spz (version 3), the smallest"),
+    "khr": ("khr/", "the same as .glb with KHR_gaussian_splatting, Y up"),
+    "usd-splats": ("splats.usdc", "the Gaussians over time as USD's ParticleField3DGaussianSplat; needs usd-core"),
+    "rerun-splats": ("splats.rrd", "the Gaussians over time as Rerun's GaussianSplats3D; needs rerun-sdk"),
+    "collider": ("collider.glb", "the object's surface as one mesh, as it lies in frame 0"),
     "npz": ("smpl.npz", "the motion as SMPL parameters, with AMASS's names"),
     "bvh": ("motion.bvh", "the motion as BVH: metres, Y up"),
     "mp4": ("video.mp4", "the recorded video; drawn anew where the record has none"),
@@ -38,6 +42,9 @@ WRITERS = {
     "csv": "hoi.export.trajectories:write_csv",
     "html": "hoi.export.page:write_page",
     "usd": "hoi.export.usd:write_usd",
+    "usd-splats": "hoi.export.splats:write_usd_splats",
+    "rerun-splats": "hoi.export.splats:write_rerun_splats",
+    "collider": "hoi.export.glb:write_collider",
 }
 """What writes the run, or its video, to a path, imported when it is called; the other choices are clouds by frame."""
 USUAL = ("glb", "npz", "bvh", "csv", "mp4")
@@ -75,7 +82,7 @@ def execute(options: argparse.Namespace) -> list[Path]:
 
     source: Path = options.record
     run = record.read(source)
-    named = [name for name in CHOICES if getattr(options, name)]
+    named = [name for name in CHOICES if getattr(options, name.replace("-", "_"))]
     wanted = named or [name for name in USUAL if run.state.motion is not None or name not in OF_MOTION]
     if not set(wanted) <= set(OF_VIDEO):
         scene_of(run, source)

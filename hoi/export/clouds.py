@@ -1,11 +1,9 @@
-"""The whole scene as Gaussians, a file a frame: INRIA's `.ply`, `.splat` and `.spz`.
+"""The whole scene as Gaussians, a file a frame: INRIA's `.ply`, `.splat`, `.spz`, and glTF with KHR_gaussian_splatting.
 
 Rows are those of the record in every frame, the person's first, so that a Gaussian keeps its number. What `.ply` and
-`.splat` hold is said in `hoi.gaussians`, which also reads all three back.
+`.splat` hold is said in `hoi.gaussians`, which also reads all of them back.
 """
 
-import gzip
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,65 +14,25 @@ from scipy.spatial.transform import Rotation
 
 from hoi import gaussians
 from hoi.body.skinning import body_tensors, pose_means, pose_quaternions
-from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
+from hoi.data import Body, GaussianCloud, Motion, ObjectTrajectory, Run, SceneObject, fields_of
 from hoi.export.axes import AXES
-from hoi.files import whole_file, whole_folder
+from hoi.files import whole_folder
+from hoi.gaussians.khr import write_khr
+from hoi.objects.carrying import carried_by
 from hoi.render.shown import scene_of
 
 FRAME = "frame_{:04d}"
-SPZ_MAGIC, SPZ_VERSION = 0x5053474E, 3
-SPZ_FRACTION = 16
-"""Bits after the point of a position: steps of 0.015 mm up to 128 m; fewer where the scene is larger."""
-
-
-def write_spz(cloud: GaussianCloud, path: Path) -> None:
-    """Write SPZ version 3: gzip of positions, alphas, colours, log scales, rotations, higher harmonics.
-
-    Raises:
-        InputError: the path cannot be written to.
-        RunError: the disk is full or broken.
-    """
-    degree, count = gaussians.sh_degree(cloud), len(cloud)
-    reach = float(np.abs(cloud.means).max(initial=1e-9))
-    bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, SPZ_FRACTION))
-    fixed = np.rint(cloud.means.astype(np.float64) * 2**bits).astype("<i4")
-    parts = [
-        np.ascontiguousarray(fixed).view(np.uint8).reshape(count, 3, 4)[:, :, :3],
-        _bytes(cloud.opacities * 255),
-        _bytes((cloud.sh[:, 0] * 0.15 + 0.5) * 255),
-        _bytes((np.log(np.maximum(cloud.scales, 1e-9)) + 10) * 16),
-        _smallest_three(cloud.quaternions),
-        _bytes(cloud.sh[:, 1:] * 128 + 128),
-    ]
-    header = struct.pack("<IIIBBBB", SPZ_MAGIC, SPZ_VERSION, count, degree, bits, 0, 0)
-    with whole_file(path) as part:
-        part.write_bytes(gzip.compress(header + b"".join(p.tobytes() for p in parts), compresslevel=6, mtime=0))
-
-
-def _bytes(values: Array) -> np.ndarray:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _smallest_three(quaternions: Array) -> np.ndarray:
-    """wxyz (N, 4) -> 4 bytes each: 2 bits for the largest of x, y, z, w, then sign and 9 bits of the others."""
-    xyzw = quaternions[:, [1, 2, 3, 0]].astype(np.float64)
-    xyzw /= np.linalg.norm(xyzw, axis=1, keepdims=True)
-    largest = np.abs(xyzw).argmax(axis=1)
-    xyzw *= np.where(np.take_along_axis(xyzw, largest[:, None], 1) < 0, -1, 1)
-    packed = largest.astype(np.uint32)
-    for component in range(4):
-        magnitude = np.minimum(np.rint(np.abs(xyzw[:, component]) * np.sqrt(2) * 511), 511).astype(np.uint32)
-        coded = (packed << 10) | ((xyzw[:, component] < 0).astype(np.uint32) << 9) | magnitude
-        packed = np.where(largest == component, packed, coded)
-    return packed.astype("<u4").view(np.uint8)
 
 
 KINDS: dict[str, Callable[[GaussianCloud, Path], None]] = {
     "ply": gaussians.write_ply,
     "splat": gaussians.write_splat,
-    "spz": write_spz,
+    "spz": gaussians.write_spz,
+    "khr": write_khr,
 }
-"""What a sequence may be of, by extension."""
+"""What a sequence may be of."""
+EXTENSIONS = {"khr": "glb"}
+"""Of the files of a kind, where it is not their name."""
 
 
 def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> None:
@@ -88,10 +46,12 @@ def write_sequence(run: Run, folder: Path, kind: str, axes: str = "z-up") -> Non
         InputError: as `clouds`, or the folder cannot be written to or holds something else.
         RunError: the disk is full or broken.
     """
-    with whole_folder(folder, rf"frame_\d+\.{kind}") as part:
+    extension = EXTENSIONS.get(kind, kind)
+    axes = "y-up" if kind == "khr" else axes  # glTF's way, always
+    with whole_folder(folder, rf"frame_\d+\.{extension}") as part:
         for frame, cloud in enumerate(clouds(run)):
             turned = cloud if axes == "z-up" else gaussians.transform(cloud, AXES[axes])
-            KINDS[kind](turned, part / f"{FRAME.format(frame)}.{kind}")
+            KINDS[kind](turned, part / f"{FRAME.format(frame)}.{extension}")
 
 
 def clouds(run: Run) -> Iterator[GaussianCloud]:
@@ -100,14 +60,23 @@ def clouds(run: Run) -> Iterator[GaussianCloud]:
     Raises:
         InputError: as `hoi.render.shown.scene_of`.
     """
-    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
-    parts = []
-    if motion is not None:
-        parts.append(_person(scene.body, motion))
-    if trajectory is not None:
-        parts.append(_thing(scene.thing, trajectory))
-    for clouds_now in zip(*parts, strict=True):
+    for clouds_now in zip(*moving_parts(run).values(), strict=True):
         yield join(clouds_now)
+
+
+def moving_parts(run: Run) -> dict[str, Iterator[GaussianCloud]]:
+    """ "person" and "object", whichever the run has, each frame by frame in the world.
+
+    Raises:
+        InputError: as `hoi.render.shown.scene_of`.
+    """
+    scene, motion, trajectory = scene_of(run), run.state.motion, run.state.trajectory
+    parts: dict[str, Iterator[GaussianCloud]] = {}
+    if motion is not None:
+        parts["person"] = _person(scene.body, motion)
+    if trajectory is not None:
+        parts["object"] = _thing(scene.thing, trajectory)
+    return parts
 
 
 def join(parts: tuple[GaussianCloud, ...]) -> GaussianCloud:
@@ -134,10 +103,11 @@ def _person(body: Body, motion: Motion) -> Iterator[GaussianCloud]:
 
 
 def _thing(thing: SceneObject, trajectory: ObjectTrajectory) -> Iterator[GaussianCloud]:
-    count, cloud = len(thing.cloud), thing.cloud
-    for frame, positions in enumerate(trajectory.positions):
-        if trajectory.deformation_gradient is None:
-            yield replace(cloud, means=positions[:count])
-        else:
+    count, cloud, carried = len(thing.cloud), thing.drawn or thing.cloud, carried_by(thing)
+    for frame, positions in enumerate(trajectory.positions[:, :count]):
+        gradient = None
+        if trajectory.deformation_gradient is not None:
             gradient = trajectory.deformation_gradient[frame, :count].astype(np.float64)
-            yield gaussians.deform(cloud, positions[:count], gradient)
+        if carried is not None:
+            positions, gradient = carried.moved(positions, gradient)
+        yield replace(cloud, means=positions) if gradient is None else gaussians.deform(cloud, positions, gradient)

@@ -12,11 +12,12 @@ import numpy as np
 from hoi.body.people import vertex_normals
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Run, SceneObject
+from hoi.errors import InputError
 from hoi.export.axes import Y_UP, linear
 from hoi.export.gltf import INDICES, POINTS, TRIANGLES, VERTICES, Document
 from hoi.export.person import local_turns, skinned_mesh
 from hoi.export.surface import Faces
-from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw
+from hoi.export.thing import MovingMesh, moving_mesh, quaternions_xyzw, still_surface
 from hoi.render.shown import scene_of
 
 _FACTS = ("config_hash", "seed", "scene", "started")
@@ -42,6 +43,26 @@ def write_glb(run: Run, path: Path) -> None:
     document.add("animations", name=scene.name, channels=animation.channels, samplers=animation.samplers)
     facts = {name: run.provenance[name] for name in _FACTS if name in run.provenance}
     document.write(path, roots, prompt=scene.motion_prompt, fps=scene.fps, frames=frames, **facts)
+
+
+def write_collider(run: Run, path: Path) -> None:
+    """Write the object's surface as one still mesh, where it is in frame 0: what a physics engine takes for a collider.
+
+    Raises:
+        InputError: the run has no object or no surface holds through its Gaussians, or the path cannot be written to.
+        RunError: the disk is full or broken.
+    """
+    scene, trajectory = scene_of(run), run.state.trajectory
+    if trajectory is None:
+        raise InputError("the run has no object, which --collider needs")
+    vertices, faces = still_surface(scene.thing, trajectory)
+    if len(faces) == 0:
+        raise InputError("the object's Gaussians are too few for a surface, which --collider needs")
+    document = Document()
+    grey = np.full((len(vertices), 3), 0.7)
+    shape = _mesh(document, scene.thing.name, vertices @ Y_UP.T, faces, grey, {})
+    node = document.add("nodes", name="collider", mesh=shape)
+    document.write(path, [node], mass=float(scene.thing.masses.sum()), volume=float(scene.thing.volumes.sum()))
 
 
 class _Animation:

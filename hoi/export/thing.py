@@ -62,6 +62,13 @@ def moving_mesh(thing: SceneObject, trajectory: ObjectTrajectory) -> MovingMesh:
     return MovingMesh(local[0], faces, rgb, trajectory.com.astype(np.float64), rotation, offsets)
 
 
+def still_surface(thing: SceneObject, trajectory: ObjectTrajectory) -> tuple[Array, Faces]:
+    """The closed surface through the object's visible Gaussians in frame 0 [m]: vertices (V, 3), faces (F, 3)."""
+    count, rest = len(thing.cloud), trajectory.positions[0].astype(np.float64)
+    seen = np.flatnonzero(thing.cloud.opacities >= FAINT)
+    return reconstruct(rest[seen if len(seen) else slice(count)], rest[count:], FINEST)
+
+
 def rigid_rotations(positions: Array) -> Array:
     """R(t) that takes the points (T, N, 3) of frame 0 nearest to those of frame t, about their means, (T, 3, 3)."""
     about = positions.astype(np.float64) - positions.mean(axis=1, keepdims=True, dtype=np.float64)

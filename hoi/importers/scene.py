@@ -40,6 +40,7 @@ MODELS = {
     "sand": "drucker_prager",
     "foam": "viscoplastic",
     "snow": "snow",
+    "watermelon": "fixed_corotated",
 }
 FLOW_KEYS = {
     "metal": {"yield_stress", "hardening", "xi"},
@@ -48,6 +49,7 @@ FLOW_KEYS = {
     "sand": {"friction_angle"},
     "jelly": set(),
     "snow": set(),
+    "watermelon": set(),
 }
 """What a material of the file takes beside elasticity."""
 SNOW = {"hardening": 10.0, "critical_compression": 2.5e-2, "critical_stretch": 7.5e-3}

@@ -3,12 +3,13 @@
 The stress is s tau(F), and s in [s_min, 1] is a play operator on psi, the elastic energy density: while the body is
 loaded s climbs, by k for each factor e of psi, until it is 1; while it is unloaded it falls until it is s_min:
 
-    ds = k d log(psi + psi_0),   s_min <= s <= 1,   psi = |dev tau|^2 / (4 mu) + (tr tau)^2 / (18 K)
+    ds = k d log(psi + psi_0),   s_min <= s <= 1,   psi = mu/4 |b - I|^2 + lambda/2 (J - 1)^2
 
-Between its bounds s is a function of psi, so that the body is elastic there, with the energy int s dpsi; at its upper
-bound it loses some, and nowhere it gains any. No time is in it: the loss does not depend on how fast, large and stiff a
-body is, as the loss factor of rubber hardly does over decades of frequency. A Kelvin-Voigt viscosity that sends a
-football back with e = 0.6 would need steps 15 times shorter at 16 cells across, and another value for each speed.
+This psi is that of every law for small strain, and grows with it for large strain. Between its bounds s is a function
+of it, so that the body is elastic there, with the energy int s dpsi; at its upper bound it loses some, and nowhere it
+gains any. No time is in it: the loss does not depend on how fast, large and stiff a body is, as the loss factor of
+rubber hardly does over decades of frequency. A Kelvin-Voigt viscosity that sends a football back with e = 0.6 would
+need steps 15 times shorter at 16 cells across, and another value for each speed.
 
 A spring loaded to psi_m and let go gives back the share e^2 = 1 - k (1 - exp((s_min - 1) / k)) of its energy, which
 gives k for a restitution e, with s_min = e^2 / 2: a body comes back to its shape, the more slowly the less it bounces.
@@ -66,11 +67,10 @@ def damping(restitution: float) -> Damping:
     return Damping(least, low)
 
 
-def complementary_energy(stress: Array, mu: float, lam: float) -> Array:
-    """psi [J/m^3] of tau (..., 3, 3), shape (...)."""
-    mean = np.trace(stress, axis1=-2, axis2=-1) / 3
-    deviator = np.maximum((stress**2).sum((-2, -1)) - 3 * mean**2, 0)
-    return deviator / (4 * mu) + mean**2 / (2 * (lam + 2 / 3 * mu))
+def strain_energy(f: Array, mu: float, lam: float) -> Array:
+    """psi [J/m^3] of F (..., 3, 3), shape (...)."""
+    strain = f @ np.swapaxes(f, -1, -2) - np.eye(3)
+    return mu / 4 * (strain**2).sum((-2, -1)) + max(lam, 0.0) / 2 * (np.linalg.det(f) - 1) ** 2
 
 
 def played(damping: Damping, psi: Array, floor: float, play: Array) -> tuple[Array, Array]:

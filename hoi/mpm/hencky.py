@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hoi.data import Array
 from hoi.mpm.law import LAM, MU, Elastic, Kernels
@@ -44,7 +45,7 @@ def trial_strain(trial: Array) -> tuple[Array, Array, Array, Array, Array]:
     return u, vt, trace, deviator, np.linalg.norm(deviator, axis=-1)
 
 
-def crushed(p: Elastic, f: Array, hardening: Array) -> Array:
+def crushed(p: Elastic, f: Array, hardening: Array) -> NDArray[Any]:
     """As `Law.clamped`: a singular value has been raised to the least."""
     return np.linalg.svd(f, compute_uv=False).min(-1) <= LEAST_STRETCH * (1 + 1e-5)
 

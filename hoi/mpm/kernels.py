@@ -152,14 +152,14 @@ def stiffness(model: ti.template(), f, j, p, hardening):
 
 
 @ti.func
-def played(t0, t1, t2, p, materials: ti.template(), row, play):
+def played(f0, f1, f2, j, p, materials: ti.template(), row, play):
     """The factor s on the stress of a solid that loses energy, and where its play is (`hoi.mpm.damping`)."""
     least, steepness = materials[3 * row + 2][2], materials[3 * row + 2][3]
     s, kept = 1.0, 0.0
     if steepness > 0.0:
-        mean = (t0[0] + t1[1] + t2[2]) / 3.0
-        deviator = ti.max(t0.dot(t0) + t1.dot(t1) + t2.dot(t2) - 3.0 * mean * mean, 0.0)
-        psi = deviator / (4.0 * p[MU]) + mean * mean / (2.0 * p[LAM] + 4.0 / 3.0 * p[MU])
+        f = matrix(f0, f1, f2)
+        strain = f @ f.transpose() - ti.Matrix.identity(float, 3)
+        psi = 0.25 * p[MU] * strain.norm_sqr() + 0.5 * ti.max(p[LAM], 0.0) * (j - 1.0) ** 2
         level = steepness * ti.log(1.0 + psi / (LEAST_ENERGY * p[MU]))
         s = ti.min(ti.max(1.0 - play + level, least), 1.0)
         kept = 1.0 - s + level
@@ -191,7 +191,7 @@ def scatter(p, first, atomic: ti.template(), damped: ti.template(), size: ti.tem
                     hardening[ti.min(p, hardening.shape[0] - 1)], tolerance,
                 )  # fmt: skip
         if ti.static(damped):
-            s, play[p] = played(t0, t1, t2, parameters_of(materials, row), materials, row, play[p])
+            s, play[p] = played(f0, f1, f2, j, parameters_of(materials, row), materials, row, play[p])
             t0, t1, t2 = s * t0, s * t1, s * t2
         inertia = mass[p] * dx
         force = -dt * volume[p] * inverse_inertia(size) / dx

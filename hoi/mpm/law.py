@@ -13,6 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+from numpy.typing import NDArray
+
 from hoi.data import Array, Material
 
 
@@ -87,7 +89,7 @@ class Law:
     """(p, trial F, hardening, dt) -> (F, hardening); None: the law does not flow."""
     parameters: Callable[[Material], tuple[float, ...]] = lame
     """The numbers that the law works with, a tuple with names of which the first two are those of `Elastic`."""
-    clamped: Callable[[Any, Array, Array], Array] | None = None
+    clamped: Callable[[Any, Array, Array], NDArray[Any]] | None = None
     """(p, F, hardening) -> whether a particle is at a bound of the method's, not the material's, shape (...)."""
     uses: frozenset[str] = frozenset()
     """Fields of Material that it takes beside elasticity, density, restitution and ground friction."""

@@ -6,6 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hoi.data import Array, Material
 from hoi.errors import InputError
@@ -86,7 +87,7 @@ def kirchhoff_stress(
     return law.kirchhoff_stress(parameters(material), deformation_gradient, velocity_gradient, hardening)
 
 
-def clamped(material: Material, deformation_gradient: Array, hardening: Array | float = 0.0) -> Array:
+def clamped(material: Material, deformation_gradient: Array, hardening: Array | float = 0.0) -> NDArray[Any]:
     """Which particles are at a bound of the method's: a fluid's least J, crushed solids, the bounds of snow."""
     hardening = np.broadcast_to(hardening, deformation_gradient.shape[:-2])
     law = LAWS[material.model].clamped

@@ -83,6 +83,8 @@ class Tally:
     """Largest amplitude left out, relative to the object's size [-]."""
     energy: float = 0.0
     """Kinetic energy left out [J]."""
+    drag_left_out: float = 0.0
+    """Bound of the way that the air would have moved it in the flights without drag [m]."""
     steps: int = 0
     first_step: float = math.inf
     """The time step with which the walk begins, taken or not [s]."""
@@ -151,17 +153,19 @@ class Walk:
             (grains, fluids).
         tolerance: amplitude of vibration, and way crept, that may be left out, relative to `size`; None leaves out
             nothing.
+        drag: k of `hoi.mpm.rigid.Flight` [1/m]; left out of a flight that it would move by less than `tolerance`.
     """
 
     def __init__(
         self, state: ObjectState, masses: Array, start: Callable[[ObjectState, float], Simulation], *, end: float,
         gravity: Array, surroundings: Surroundings, size: float, moment: float, frequency: float | None,
-        tolerance: float | None,
+        tolerance: float | None, drag: float = 0.0,
     ) -> None:  # fmt: skip
         self.time, self.phase, self.tally = 0.0, "mpm", Tally()
         self._state, self._masses, self._start, self._end = state, masses, start, end
         self._gravity, self._around = np.asarray(gravity, dtype=np.float64), surroundings
         self._size, self._moment, self._frequency = size, moment, frequency
+        self._drag = drag
         self._tolerance, self._between_looks = 0.0, math.inf  # no looks
         if tolerance is not None:
             self._tolerance = tolerance
@@ -271,13 +275,18 @@ class Walk:
 
     def _take_off(self, motion: rigid.RigidMotion, energy: float = 0.0) -> bool:
         """Begins a flight where it is long enough to be worth it; `energy` is what it leaves out [J]."""
-        flight, hull = rigid.Flight(motion, self._gravity), rigid.hull(self._state.positions - motion.com)
         longest = self._end - self.time
+        fastest = float(np.linalg.norm(motion.velocity)) + float(np.linalg.norm(self._gravity)) * longest
+        moved = 0.5 * self._drag * fastest**2 * longest**2
+        drag = self._drag if moved > self._tolerance * self._size else 0.0
+        flight, hull = rigid.Flight(motion, self._gravity, drag), rigid.hull(self._state.positions - motion.com)
         alone = first_contact(flight, hull, self._around, self.time, longest)
         landing = self.time + alone if alone < longest else math.inf
         if landing <= self.time + self._between_looks:
             return False
         self._flight, self._departed, self._departure, self._landing = flight, self._state, self.time, landing
+        if not drag:
+            self.tally.drag_left_out = max(self.tally.drag_left_out, moved)
         self._leave_mpm("flight", energy)
         return True
 
@@ -309,11 +318,15 @@ def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start
     time, moving = 0.0, around.moving(start)
     while time < longest:
         com, velocity = flight.com(time), flight.velocity(time)
+        # The air holds a rising body back and only helps a falling one; no later speed is above this and a fall's.
+        slowing = 0.0
+        if flight.drag:
+            slowing = max(flight.drag * float(velocity @ velocity), float(np.linalg.norm(flight.gravity)))
         vertices = hull @ flight.rotation(time).T
         sure = math.inf
         for plane, reach in zip(around.planes, around.reach, strict=True):
             height = float((com - plane.point) @ plane.normal) - reach
-            rate, acceleration = float(velocity @ plane.normal), float(flight.gravity @ plane.normal)
+            rate, acceleration = float(velocity @ plane.normal), float(flight.gravity @ plane.normal) - slowing
             ball = _time_to_close(height - radius, rate, acceleration)
             turning = rate - flight.fastest * radius
             sure = min(sure, max(ball, _time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
@@ -321,7 +334,7 @@ def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start
             gap, speed = _gap_to_collider(moving, com, start + time)
             rate = -float(np.linalg.norm(velocity)) - speed
             gap -= radius + around.collider_reach
-            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(flight.gravity))))
+            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(flight.gravity)) - slowing))
         if sure < RESOLUTION:
             return time
         time += sure

@@ -6,6 +6,7 @@ The transfers of the MPM conserve just these sums.
 """
 
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,8 +83,37 @@ def hull(points: Array) -> Array:
         return points
 
 
+def air_drag(points: Array, mass: float, air_density: float, coefficient: float) -> float:
+    """k = rho C_d A / (2 m) [1/m]: k |v|^2 is how the air slows a body of these points [m], (P, 3).
+
+    A is a quarter of its convex hull's surface, the mean silhouette of a convex body (Cauchy).
+    """
+    try:
+        area = ConvexHull(points).area / 4
+    except (QhullError, ValueError):  # flat, or fewer than four
+        return 0.0
+    return air_density * coefficient * area / (2 * mass)
+
+
+class _Path:
+    """The solution of y' = f(t, y) from 0 on, integrated with DOP853 as far as it is asked for."""
+
+    def __init__(self, rate: Callable[[float, Array], Array], start: Array) -> None:
+        self._solver = DOP853(rate, 0.0, start, np.inf, rtol=TOLERANCE, atol=TOLERANCE)
+        self._ends, self._pieces = [0.0], []
+
+    def __call__(self, time: float) -> Array:
+        while self._ends[-1] < time:
+            self._solver.step()
+            self._pieces.append(self._solver.dense_output())
+            self._ends.append(self._solver.t)
+        return self._pieces[bisect_left(self._ends, time) - 1](time)
+
+
 class Flight:
     """Free flight from one state on: the centre of mass on its parabola, the body turning without torque.
+
+    With `drag` k the air slows it, v' = g - k |v| v, k = rho C_d A / (2 m) [1/m], integrated to `TOLERANCE`.
 
     L stays as it is, and the rotation R since the start obeys R' = [w]_x R with w = R I0^-1 R^T L. It is computed as
     R = exp([L]_x t / i) S, which leaves S' = [S (I0^-1 - 1/i) S^T L]_x S. With the middle principal inertia for i, S
@@ -91,8 +121,8 @@ class Flight:
     with DOP853, as far as it is asked for.
     """
 
-    def __init__(self, motion: RigidMotion, gravity: ArrayLike) -> None:
-        self.motion = motion
+    def __init__(self, motion: RigidMotion, gravity: ArrayLike, drag: float = 0.0) -> None:
+        self.motion, self.drag = motion, drag
         self.gravity = np.asarray(gravity, dtype=np.float64)
         moments, axes = np.linalg.eigh(motion.inertia)
         self._axes = axes * np.linalg.det(axes)  # right-handed
@@ -102,15 +132,19 @@ class Flight:
         self._mean = motion.angular_momentum / moments[1]
         self._rest = (1 / moments[0] - 1 / moments[1], 1 / moments[2] - 1 / moments[1])
         self._in_axes = tuple((motion.angular_momentum @ self._axes).tolist())
-        self._solver = DOP853(self._turn, 0.0, np.array([1.0, 0, 0, 0]), np.inf, rtol=TOLERANCE, atol=TOLERANCE)
-        self._ends, self._pieces = [0.0], []
+        self._turned = _Path(self._turn, np.array([1.0, 0, 0, 0]))
+        self._slowed = _Path(self._slow, np.concatenate([np.zeros(3), motion.velocity]))
 
     def com(self, time: float) -> Array:
         """Centre of mass [m], shape (3,)."""
+        if self.drag and time > 0:
+            return self.motion.com + self._slowed(time)[:3]
         return self.motion.com + time * self.motion.velocity + 0.5 * time**2 * self.gravity
 
     def velocity(self, time: float) -> Array:
         """Of the centre of mass [m/s], shape (3,)."""
+        if self.drag and time > 0:
+            return self._slowed(time)[3:]
         return self.motion.velocity + time * self.gravity
 
     def rotation(self, time: float) -> Array:
@@ -118,11 +152,7 @@ class Flight:
         turned = rotation_by(self._mean * time)
         if time == 0 or not any(self._rest):
             return turned
-        while self._ends[-1] < time:
-            self._solver.step()
-            self._pieces.append(self._solver.dense_output())
-            self._ends.append(self._solver.t)
-        q = self._pieces[bisect_left(self._ends, time) - 1](time)
+        q = self._turned(time)
         return turned @ self._axes @ _matrix(q / np.linalg.norm(q)) @ self._axes.T
 
     def angular_velocity(self, time: float) -> Array:
@@ -143,6 +173,11 @@ class Flight:
             deformation_gradient=r @ state.deformation_gradient,
             elastic=None if state.elastic is None else r @ state.elastic,
         )
+
+    def _slow(self, _: float, state: Array) -> Array:
+        """Of the way and the velocity (6,)."""
+        velocity = state[3:]
+        return np.concatenate([velocity, self.gravity - self.drag * np.linalg.norm(velocity) * velocity])
 
     def _turn(self, _: float, q: Array) -> Array:
         """dq/dt of S in the principal axes: half of q times the body's own rates, of which the middle one is zero."""

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hoi.data import Array, Material, ObjectState
 from hoi.errors import InputError
-from hoi.mpm.damping import LEAST_ENERGY, Damping, complementary_energy, recoverable
-from hoi.mpm.materials import elastic_energy_density, kirchhoff_stress, lame_parameters
+from hoi.mpm.damping import LEAST_ENERGY, Damping, recoverable, strain_energy
+from hoi.mpm.materials import elastic_energy_density, lame_parameters
 
 
 def initial_state(
@@ -94,7 +94,7 @@ def energies(
         density = elastic_energy_density(m, f[own], hardening[own])
         if dampings is not None and dampings[index].steepness and state.play is not None:
             mu, lam = lame_parameters(m)
-            psi = complementary_energy(kirchhoff_stress(m, f[own], 0.0, hardening[own]), mu, lam)
+            psi = strain_energy(f[own], mu, lam)
             density *= recoverable(dampings[index], psi, LEAST_ENERGY * mu, state.play[own].astype(np.float64))
         elastic += volumes[own] @ density
     return np.array([kinetic, elastic, -masses @ (x @ np.asarray(gravity, dtype=np.float64))])

@@ -5,6 +5,7 @@ cell without any gets one particle at its centre. So density stays even where su
 sum to the solid's. (PhysGaussian shares dx^3 likewise, but counts cells that are only partly solid in full.)
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,13 +16,10 @@ from scipy.spatial import KDTree
 
 from hoi.data import Array, GaussianCloud
 from hoi.errors import InputError
-from hoi.gaussians import rotation_matrices
+from hoi.objects.solidity import solid_of
 
 MAX_CELLS = 8_000_000
 _SAMPLES = 3  # a side of a cell, to measure how much of it is solid
-_OPAQUE = 0.3  # fainter Gaussians bound no solid
-_REACH = 1.5  # standard deviations that a Gaussian covers
-_OPENING = 0.07  # of the extent: narrower openings in a capture are taken for holes in its surface, not in the thing
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class Filling:
     volumes: Array
     """Of the surface's N particles, then of the interior's [m^3], (N + M,)."""
     enclosed: float
-    """Share of the volume that lies inside a closed surface [-]; the rest is the surface's own thickness."""
+    """Share of the volume that lies inside a closed surface [-]; the rest are sheets."""
 
 
 def fill_mesh(surface: Array, vertices: Array, faces: NDArray[np.integer], spacing: float) -> Filling:
@@ -59,40 +57,28 @@ def fill_mesh(surface: Array, vertices: Array, faces: NDArray[np.integer], spaci
 
 
 def fill_cloud(cloud: GaussianCloud, spacing: float) -> Filling:
-    """Fill a captured cloud.
-
-    What a flood from outside cannot reach is solid. Of the cells on a closed surface the part next to the inside is
-    solid; a surface that encloses nothing, like a leaf, is one cell thick.
+    """Fill a captured cloud with what `hoi.objects.solidity` finds solid, whatever the spacing.
 
     Args:
         cloud: the surface [m].
-        spacing: edge of a cell [m]. Openings in the surface wider than that, than twice the Gaussians' distance and
-            than a small share of the object let the flood in.
+        spacing: edge of a cell [m].
 
     Raises:
         InputError: the spacing is too fine for memory.
     """
+    solid = solid_of(cloud)
+    size = solid.cell * np.array(solid.share.shape)
+    lower, counts = _lattice(solid.lower, solid.lower + size, spacing)
+    samples = max(2, math.ceil(spacing / solid.cell))
+    fine = [low + spacing / samples * (np.arange(n * samples) + 0.5) for low, n in zip(lower, counts, strict=True)]
+    shares = np.empty(counts)
+    for row in range(counts[0]):  # a layer of cells after the other spares memory
+        layer = fine[0][row * samples : (row + 1) * samples]
+        within = solid.at(np.stack(np.meshgrid(layer, *fine[1:], indexing="ij"), -1))
+        shares[row] = within.reshape(samples, counts[1], samples, counts[2], samples).mean((0, 2, 4))
     means = cloud.means.astype(np.float64)
-    covered = np.concatenate([means, _covered_points(cloud)])
-    apart = np.percentile(KDTree(means).query(means, 2)[0][:, 1], 90)
-    opening = max(2 * apart, _OPENING * np.ptp(means, axis=0).max())
-    gaps = int(opening / 2 / spacing)  # in cells, from either side
-    margin = (gaps + 1) * spacing
-    lower, counts = _lattice(covered.min(0) - margin, covered.max(0) + margin, spacing)
-    holding, wall = (np.zeros(counts, bool) for _ in range(2))
-    for cells, points in ((holding, means), (wall, covered)):
-        cells[tuple(((points - lower) / spacing).astype(int).T)] = True
-    if gaps:
-        ndimage.binary_closing(wall, np.ones((3, 3, 3)), iterations=gaps, output=wall)
-    hollow = np.array(ndimage.binary_fill_holes(wall), bool) & ~wall
-    around = np.ones((5, 5, 5), np.float32)
-    inner = ndimage.convolve(hollow.astype(np.float32), around, mode="constant")
-    outer = ndimage.convolve((~(hollow | wall)).astype(np.float32), around, mode="constant", cval=1.0)
-    bounding = wall & (inner > 0.5)
-    solid = np.where(bounding, inner / np.maximum(inner + outer, 1.0), hollow | holding)
-    interior, volumes = _share(means, solid, lower, spacing)
-    enclosed = (solid * (hollow | bounding)).sum() / solid.sum()
-    return Filling(interior, volumes, enclosed=float(enclosed))
+    interior, volumes = _share(means, shares, lower, spacing, sheets=True)
+    return Filling(interior, volumes * (solid.volume / volumes.sum()), enclosed=solid.enclosed)
 
 
 def _lattice(lower: Array, upper: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
@@ -105,7 +91,7 @@ def _lattice(lower: Array, upper: Array, spacing: float) -> tuple[Array, NDArray
     return (lower + upper - counts * spacing) / 2, counts.astype(np.int64)
 
 
-def _share(points: Array, solid: Array, lower: Array, spacing: float) -> tuple[Array, Array]:
+def _share(points: Array, solid: Array, lower: Array, spacing: float, sheets: bool = False) -> tuple[Array, Array]:
     """Share the cells' volumes among points.
 
     Cells less than half solid, and the points in them, join the nearest cell that is more so: no particle is so light
@@ -114,11 +100,19 @@ def _share(points: Array, solid: Array, lower: Array, spacing: float) -> tuple[A
     Args:
         points: (N, 3) [m].
         solid: solid fraction of each cell (nx, ny, nz).
+        sheets: whether a cell less than half solid that holds a point and touches none that is more so counts as one:
+            what is thinner than a cell keeps its mass.
 
     Returns:
         Centres of the cells without a point (M, 3) and the volumes of the N points and of these [m^3], (N + M,).
     """
     main, thin = solid >= 0.5, (solid > 0) & (solid < 0.5)
+    if sheets:
+        places = ((points - lower) / spacing).astype(int)
+        holding = np.zeros_like(main)
+        holding[tuple(places[((places >= 0) & (places < solid.shape)).all(1)].T)] = True
+        alone = thin & holding & ~np.asarray(ndimage.binary_dilation(main, np.ones((3, 3, 3))), bool)
+        main, thin = main | alone, thin & ~alone
     if not main.any():
         raise InputError(f"spacing {spacing:g} m: coarser than the object is thick; take it finer")
     centres, thin_centres = (lower + spacing * (np.argwhere(cells) + 0.5) for cells in (main, thin))
@@ -156,11 +150,3 @@ def _inside_mesh(vertices: Array, faces: NDArray[np.integer], axes: Sequence[Arr
     winding = np.zeros((len(x), len(y), len(z) + 1), np.int32)
     np.add.at(winding, (i[hit], j[hit], np.searchsorted(z, height)), np.where(area[hit] < 0, 1, -1))
     return winding.cumsum(2)[:, :, :-1] > 0
-
-
-def _covered_points(cloud: GaussianCloud) -> Array:
-    """Points spread over each opaque Gaussian, (K, 3)."""
-    opaque = cloud.opacities >= _OPAQUE
-    axes = (rotation_matrices(cloud) * cloud.scales[:, None, :])[opaque]
-    steps = _REACH * np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-    return (cloud.means[opaque, None] + np.einsum("nij,kj->nki", axes, steps)).reshape(-1, 3)

@@ -169,6 +169,8 @@ def _check_joint(whose: str, joint: int, unknown: bool = False) -> None:
 
 def _check_object(thing: SceneObject) -> None:
     _check_cloud("object", thing.cloud)
+    if thing.drawn is not None:
+        _check_cloud("object.drawn", thing.drawn)
     particles = len(thing.particles)
     _check("object.particles", thing.particles, (particles, 3))
     _check("object.volumes", thing.volumes, (particles,))

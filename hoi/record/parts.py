@@ -106,6 +106,8 @@ def _facts(owner: Any, names: tuple[str, ...]) -> dict[str, Any]:
 def _npz(owner: Body | SceneObject) -> bytes:
     """The arrays of the cloud, and all others, by the names of their fields."""
     values = fields_of(owner.cloud) | fields_of(owner)
+    if isinstance(owner, SceneObject) and owner.drawn is not None:
+        values |= {f"drawn_{name}": array for name, array in fields_of(owner.drawn).items()}
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
@@ -115,5 +117,9 @@ def _npz(owner: Body | SceneObject) -> bytes:
 def _arrays(data: bytes, owner: type) -> dict[str, Any]:
     """The inverse of `_npz`; what `owner` has no field for is left out."""
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        cloud = GaussianCloud(**{f.name: archive[f.name] for f in fields(GaussianCloud)})
-        return {"cloud": cloud} | {f.name: archive[f.name] for f in fields(owner) if f.name in archive.files}
+        clouds = {
+            field: GaussianCloud(**{f.name: archive[prefix + f.name] for f in fields(GaussianCloud)})
+            for field, prefix in (("cloud", ""), ("drawn", "drawn_"))
+            if f"{prefix}means" in archive.files
+        }
+        return clouds | {f.name: archive[f.name] for f in fields(owner) if f.name in archive.files}

@@ -115,7 +115,7 @@ ATTACHMENTS = {
     "plan.json": "the plan: steps, omissions, checks, variant",
     "scene.json": "names, prompt, frames, frame rate, gravity, planes, materials, where the person comes from",
     "body.npz": "the person's Gaussians in the T-pose, skinning weights, joints, pose blend shapes where there are any",
-    "object.npz": "the object's Gaussians and particles at t = 0, rest volumes, regions where there are any",
+    "object.npz": "the object's Gaussians and particles at t = 0, rest volumes; regions and drawn Gaussians if any",
     "state.json": "which parts of the state there are, j*, t*, the smallest gap",
     "reports.json": "of each stage: seconds, iterations, numbers, notes",
     "history.csv": "losses by stage and iteration",

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from hoi import gaussians
 from hoi.body.skinning import BodyTensors, body_tensors, pose_gaussians, posed_means
-from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, Scene, State
+from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, Scene, SceneObject, State
+from hoi.objects.carrying import carried_by
 from hoi.render.action import Action
 from hoi.render.shown import scene_of
 from hoi.render.splats import Splats, from_cloud
@@ -123,14 +124,15 @@ class _MovingPerson:
 
 
 class _MovingObject:
-    """The first particles are the Gaussians; without F they only move."""
+    """The first particles are the Gaussians, or carry those that are drawn; without F they only move."""
 
-    def __init__(self, cloud: GaussianCloud, trajectory: ObjectTrajectory, device: torch.device | str) -> None:
+    def __init__(self, thing: SceneObject, trajectory: ObjectTrajectory, device: torch.device | str) -> None:
         self.frames = len(trajectory.positions)
-        self._cloud, self._device = cloud, device
-        self._positions = trajectory.positions[:, : len(cloud)]
+        self._cloud, self._device, self._carried = thing.cloud, device, carried_by(thing)
+        self._positions = trajectory.positions[:, : len(thing.cloud)]
         gradient = trajectory.deformation_gradient
-        self._gradient = None if gradient is None else gradient[:, : len(cloud)]
+        self._gradient = None if gradient is None else gradient[:, : len(thing.cloud)]
+        cloud = thing.cloud if thing.drawn is None else thing.drawn
         self._still = from_cloud(cloud, device)
         self._root = torch.tensor(
             gaussians.rotation_matrices(cloud) * cloud.scales[:, None, :], dtype=torch.float32, device=device
@@ -145,10 +147,13 @@ class _MovingObject:
         return self._shown[1]
 
     def _moved(self, frame: int) -> Splats:
-        means = self._tensor(self._positions[frame])
-        if self._gradient is None:
+        positions, gradient = self._positions[frame], None if self._gradient is None else self._gradient[frame]
+        if self._carried is not None:
+            positions, gradient = self._carried.moved(positions, gradient)
+        means = self._tensor(positions)
+        if gradient is None:
             return replace(self._still, means=means)
-        deformation = self._tensor(gaussians.limited(self._gradient[frame]))
+        deformation = self._tensor(gaussians.limited(gradient))
         root = deformation @ self._root
         turns = polar_rotation(deformation) if self._still.sh.shape[1] > 1 else None
         return replace(self._still, means=means, covariances=root @ root.mT, turns=turns)
@@ -177,7 +182,7 @@ class Replay:
         if state.motion is not None:
             self._parts["person"] = _MovingPerson(scene.body, state.motion, device)
         if state.trajectory is not None:
-            self._parts["object"] = _MovingObject(scene.thing.cloud, state.trajectory, device)
+            self._parts["object"] = _MovingObject(scene.thing, state.trajectory, device)
         self.frames: int = next(iter(self._parts.values())).frames
 
     @property

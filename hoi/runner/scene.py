@@ -91,7 +91,8 @@ def load_object(config: Config, cloud: GaussianCloud | None = None) -> SceneObje
         loaded = load_builtin(conf.shape or conf.name, spacing, conf.size, conf.max_gaussians)
     else:
         assert conf.path is not None  # checked by `validate`
-        loaded = load_file(Path(conf.path), conf.size, conf.up, spacing, conf.max_gaussians)
+        most = conf.max_gaussians
+        loaded = load_file(Path(conf.path), conf.size, conf.up, spacing, most, max_drawn=conf.max_drawn)
     material, *others = materials_of(config)
     placed = place(
         loaded,

@@ -92,7 +92,7 @@ def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
     [
         (["object.size=0"], "object.size must be greater than 0 [m], got 0"),
         (["object.size=nan"], "object.size must be finite, got nan"),
-        (["object.up=y"], "object.up must be one of +x, -x, +y, -y, +z, -z, got y"),
+        (["object.up=y"], "object.up must be one of auto, +x, -x, +y, -y, +z, -z, got y"),
         (["scene.gravity=[0,0]"], "scene.gravity must be a list of 3 numbers, got [0.0, 0.0]"),
         (["scene.placement.position=[null,1,1]"], "scene.placement.position must be numbers in x and y"),
         (["scene.expected_limb=tail"], "scene.expected_limb must be one of left_foot"),

@@ -7,6 +7,7 @@ import pytest
 from demo_run import make_run
 from scipy.spatial.transform import Rotation
 
+from hoi import gaussians
 from hoi.data import GaussianCloud, Run
 from hoi.errors import InputError
 from hoi.export import clouds
@@ -48,7 +49,7 @@ def angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("degree", range(4))
 def test_spz_comes_back_within_its_steps(tmp_path, degree):
     cloud = random_cloud(500, degree)
-    clouds.write_spz(cloud, tmp_path / "a.spz")
+    gaussians.write_spz(cloud, tmp_path / "a.spz")
     back = read_gaussians(tmp_path / "a.spz")
     assert np.abs(back.means - cloud.means).max() < 1e-5
     assert angle(back.quaternions, cloud.quaternions).max() < 0.004
@@ -62,7 +63,7 @@ def test_spz_comes_back_within_its_steps(tmp_path, degree):
 
 def test_spz_of_a_wide_scene_gives_up_digits_not_places(tmp_path):
     cloud = random_cloud(50, 0)
-    clouds.write_spz(replace(cloud, means=cloud.means * 1000), tmp_path / "a.spz")
+    gaussians.write_spz(replace(cloud, means=cloud.means * 1000), tmp_path / "a.spz")
     back = read_gaussians(tmp_path / "a.spz")
     assert np.abs(back.means - cloud.means * 1000).max() < 1e-3
 
@@ -118,7 +119,7 @@ def test_a_sequence_is_replaced_as_a_whole_or_not_at_all(run, tmp_path, monkeypa
     def broken(cloud, path):
         if "0002" in path.name:
             raise OSError(28, "No space left on device")
-        clouds.write_spz(cloud, path)
+        gaussians.write_spz(cloud, path)
 
     with monkeypatch.context() as patch:
         patch.setitem(clouds.KINDS, "spz", broken)

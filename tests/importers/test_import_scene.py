@@ -338,7 +338,10 @@ def test_dialects(read):
         ({"E": float("nan")}, "E must be a number, got nan"),
         ({"density": -1}, "density must be greater than 0, got -1"),
         ({"n_grid": 50.5}, "n_grid must be a whole number, got 50.5"),
-        ({"material": "custard"}, "material must be one of jelly, metal, sand, foam, snow, plasticine, got 'custard'"),
+        (
+            {"material": "custard"},
+            "material must be one of jelly, metal, sand, foam, snow, plasticine, watermelon, got 'custard'",
+        ),
         ({"material": ["sand"]}, "material must be one of"),
         ({"rotation_degree": [90], "rotation_axis": []}, "rotation_degree and rotation_axis must be equally long"),
         ({"rotation_degree": [90], "rotation_axis": [3]}, "axes 0, 1 or 2"),
@@ -415,3 +418,15 @@ def test_bad_options_are_named(tmp_path, options, message):
     (tmp_path / "a_scene.json").write_text(json.dumps(BALL))
     with pytest.raises(InputError, match=message):
         run(parser().parse_args([str(tmp_path / "a_scene.json"), "-o", str(tmp_path), *options]))
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    (tmp_path / "a_scene.json").write_bytes(b"\xef\xbb\xbf" + json.dumps(BALL).encode())
+    assert read_scene_file(tmp_path / "a_scene.json").material == "jelly"
+
+
+def test_a_watermelon_is_elastic_and_says_so(convert_values):
+    values = {**BALL, "E": 2000.0, "material": "watermelon", "beta": 1.0, "xi": 3.0, "hardening": 1.0, "alpha_0": -0.04}
+    imported = convert_values(values)
+    assert imported.material["model"] == "fixed_corotated" and imported.material["youngs_modulus"] == 2000
+    assert any("watermelon breaks" in remark for remark in imported.remarks)

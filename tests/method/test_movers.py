@@ -19,6 +19,7 @@ from hoi.stages.object.mpm import MPM
 
 SMALL = ["human.gaussians=1000", "scene.frames=8", "scene.contact_frame=4"]
 COARSE = "stage.object.cells_across=6"
+VACUUM = "stage.object.air_density=0"
 
 
 @pytest.fixture
@@ -50,7 +51,11 @@ def run_stage(function):
 @pytest.mark.parametrize("spline", ["quadratic", "cubic"])
 def test_free_fall_by_mpm(scene_of, spline):
     config, scene = scene_of(
-        COARSE, f"stage.object.spline={spline}", "scene.placement.position=[0,2,3]", "scene.placement.velocity=[1,0,2]"
+        VACUUM,
+        COARSE,
+        f"stage.object.spline={spline}",
+        "scene.placement.position=[0,2,3]",
+        "scene.placement.velocity=[1,0,2]",
     )
     move = mover_of(config)
     trajectory, states = run_stage(lambda stage: free_motion(scene, move, stage))
@@ -64,7 +69,7 @@ def test_free_fall_by_mpm(scene_of, spline):
 def test_what_a_walk_left_out_is_reported(scene_of):
     """Steps done and left out make up the whole, and every second has its phase."""
     turning = "scene.placement.angular_velocity=[0,0,2]"
-    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", turning)
+    config, scene = scene_of(COARSE, VACUUM, "scene.placement.position=[0,2,3]", turning)
     with Stages().stage("test", 1) as stage:
         free_motion(scene, mover_of(config), stage)
     numbers = stage.numbers
@@ -80,7 +85,9 @@ def test_without_phases_every_step_is_taken(scene_of):
     from hoi.mpm.solver import simulate
     from hoi.mpm.state import initial_state
 
-    config, scene = scene_of(COARSE, "stage.object.phases=false", "scene.placement.velocity=[1,0,2]")
+    config, scene = scene_of(
+        COARSE, "stage.object.phases=false", "stage.object.damping=false", "scene.placement.velocity=[1,0,2]"
+    )
     scene = replace(scene, frames=3)
     move = mover_of(config)
     trajectory, states = run_stage(lambda stage: free_motion(scene, move, stage))
@@ -102,7 +109,7 @@ def test_without_phases_every_step_is_taken(scene_of):
 
 def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
     """A ball in the air leaves with V_post; the look 1 ms later is no frame and costs no walk of its own."""
-    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
+    config, scene = scene_of(COARSE, VACUUM, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     with Stages().stage("test", 1) as stage:
@@ -115,7 +122,7 @@ def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
 @pytest.mark.parametrize("t_c", [3.0, 3.4])
 def test_resimulation_starts_at_the_moment_of_contact(scene_of, t_c):
     """A ball at rest in the air without gravity: straight on from t_c with V_post, untouched before."""
-    config, scene = scene_of(COARSE, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
+    config, scene = scene_of(COARSE, VACUUM, "scene.placement.position=[0,2,3]", "scene.gravity=[0,0,0]")
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     contact = contact_at(t_c, [0, 5, 1], scene.object)

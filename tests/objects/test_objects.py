@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bodies import cloud_of
+from captures import join
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from hoi import gaussians
 from hoi.data import Array, GaussianCloud, Material
 from hoi.errors import InputError
-from hoi.objects import cleaning, filling, load, shapes
+from hoi.objects import filling, load, shapes
+from hoi.objects.solidity import THICKNESS
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "objects"
 WOOD = Material("wood", "neo_hookean", 1e6, 0.3, 400.0, 0.5, 0.5)
@@ -23,11 +25,6 @@ def shell(radius: float = 0.5, count: int = 4000) -> GaussianCloud:
     normals = gaussians.fibonacci_sphere(count)
     spacing = radius * (4 * np.pi / count) ** 0.5
     return cloud_of(radius * normals, 0.4 * spacing)
-
-
-def join(*clouds: GaussianCloud) -> GaussianCloud:
-    names = ("means", "quaternions", "scales", "opacities", "sh")
-    return GaussianCloud(*(np.concatenate([getattr(c, n) for c in clouds]) for n in names))
 
 
 def inertia(particles: Array, masses: Array) -> Array:
@@ -148,18 +145,17 @@ def test_closed_capture_is_solid(cells: int) -> None:
     filled = filling.fill_cloud(cloud, 1.0 / cells)
     assert filled.volumes.sum() == pytest.approx(np.pi / 6, rel=0.06)
     assert filled.enclosed > 0.95
-    assert len(filled.interior) > 0 and (np.linalg.norm(filled.interior, axis=1) < 0.5 + 0.5 / cells).all()
+    assert len(filled.interior) > 0 and (np.linalg.norm(filled.interior, axis=1) < 0.5 + 1 / cells).mean() > 0.999
     particles = np.concatenate([cloud.means, filled.interior])
     expected = 2 / 5 * filled.volumes.sum() * 0.5**2
     np.testing.assert_allclose(np.diag(inertia(particles, filled.volumes)), expected, rtol=0.08)
 
 
-def test_open_capture_is_as_thick_as_a_cell() -> None:
+def test_open_capture_is_a_sheet() -> None:
     bowl = gaussians.select(shell(), shell().means[:, 2] < 0)
     filled = filling.fill_cloud(bowl, 0.05)
-    cells = np.unique(np.floor((bowl.means + 1) / 0.05), axis=0)
     assert filled.enclosed < 0.05
-    assert filled.volumes.sum() == pytest.approx(len(cells) * 0.05**3, rel=0.15)
+    assert filled.volumes.sum() == pytest.approx(THICKNESS * 2 * np.pi * 0.5**2, rel=0.2)
 
 
 def test_spacing_that_does_not_fit_is_refused() -> None:
@@ -173,41 +169,11 @@ def test_spacing_that_does_not_fit_is_refused() -> None:
 # --- captures --------------------------------------------------------------------------------------------------------
 
 
-def test_cleaning_removes_haze_floaters_and_giants() -> None:
-    ball = shell()
-    rng = np.random.default_rng(0)
-    haze = replace(gaussians.select(ball, np.arange(300)), opacities=np.full(300, 0.01, np.float32))
-    dust = gaussians.select(ball, np.arange(40))
-    dust = replace(dust, means=rng.uniform(-20, 20, (40, 3)).astype(np.float32))
-    clump = gaussians.transform(gaussians.select(ball, np.arange(60)), np.eye(3), 0.1, [2, 0, 0])
-    giant = replace(ball, scales=np.where(np.arange(len(ball))[:, None] < 7, np.float32(3), ball.scales))
-    cloud, notes = cleaning.clean(join(giant, haze, dust, clump))
-    np.testing.assert_array_equal(cloud.means, ball.means)
-    assert cloud.scales.max() <= 0.05
-    assert [note.split(" Gaussians")[0] for note in notes] == ["removed 300", "removed 100 floating", "shrank 7"]
-
-
-def test_cleaning_leaves_a_clean_cloud_alone() -> None:
-    cloud, notes = cleaning.clean(shell())
-    np.testing.assert_array_equal(cloud.means, shell().means)
-    assert notes == []
-
-
 def test_haze_alone_is_no_object(tmp_path: Path) -> None:
     ball = shell()
     gaussians.write_splat(replace(ball, opacities=np.full(len(ball), 0.02, np.float32)), tmp_path / "haze.splat")
     with pytest.raises(InputError, match=r"haze\.splat: no solid object"):
         load.load_file(tmp_path / "haze.splat", 1.0, "+z", 0.05)
-
-
-def test_thinning_keeps_the_likeliest_and_the_covered_area() -> None:
-    ball = shell()
-    opacities = np.where(np.arange(len(ball)) % 2, 0.9, 0.06).astype(np.float32)
-    thinned, notes = cleaning.thin(replace(ball, opacities=opacities), 1000)
-    assert len(thinned) == 1000 and "4000" in notes[0] and "1000" in notes[0]
-    assert (thinned.opacities > 0.5).mean() > 0.85
-    area = (thinned.scales[:, :2].prod(1)).sum() / (ball.scales[:, :2].prod(1)).sum()
-    assert area == pytest.approx(1, rel=1e-3)
 
 
 @pytest.mark.parametrize("up", load.UP)
@@ -245,7 +211,7 @@ def test_real_captures(name: str) -> None:
         pytest.skip(f"{path.name} is not in the shared data")
     loaded = load.load_file(path, 0.8, "-y", 0.025, max_gaussians=20_000)
     assert len(loaded.cloud) <= 20_000
-    assert np.ptp(loaded.cloud.means, axis=0).max() == pytest.approx(0.8, rel=1e-4)
+    assert np.ptp(loaded.cloud.means, axis=0).max() == pytest.approx(0.8, rel=0.01)
     assert 1e-3 < loaded.volumes.sum() < 0.2 and (loaded.volumes > 0).all()
     rgb, z = gaussians.colours(loaded.cloud), loaded.cloud.means[:, 2]
     if name == "plant":  # green leaves above a pot

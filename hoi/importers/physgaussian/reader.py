@@ -16,7 +16,8 @@ from typing import Any
 
 from hoi.errors import InputError, about
 
-MATERIALS = ("jelly", "metal", "sand", "foam", "snow", "plasticine")
+MATERIALS = ("jelly", "metal", "sand", "foam", "snow", "plasticine", "watermelon")
+"""The last is GaussianFluent's, whose scenes are written the same way."""
 DREAMPHYSICS_E = 1e7
 """Unit of E in DreamPhysics [Pa]."""
 SOFTEST = 1e3
@@ -121,7 +122,7 @@ def read_scene_file(path: Path, dialect: str | None = None) -> SceneFile:
     """
     with about(path):
         try:
-            values = json.loads(path.read_text())
+            values = json.loads(path.read_text("utf-8-sig"))
         except OSError as error:
             raise InputError(error.strerror) from None
         except UnicodeDecodeError:
@@ -146,6 +147,8 @@ def _scene_file(path: Path, values: Any, dialect: str | None) -> SceneFile:
     material = values.get("material", "jelly")
     if material not in MATERIALS:
         raise InputError("material", repr(material), f"one of {', '.join(MATERIALS)}")
+    if material == "watermelon":
+        remarks.append("material: watermelon breaks by cam-clay, which there is none of; it is elastic and stays whole")
     if "g" not in values:
         remarks.append("g: not given, taken as [0, 0, -9.8]")
     angles, axes = (_list(values, key, []) for key in ("rotation_degree", "rotation_axis"))

@@ -11,9 +11,10 @@ and Water Mixtures, with Newtonian viscosity. Stiffness: B_c = J^2 psi''(J) = K 
 apart from this (`hoi.mpm.stability`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hoi.data import Array, Material
 from hoi.mpm.law import LAM, Kernels, Law, lame
@@ -80,7 +81,7 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness, returned)
 
 
-def clamped(p: Parameters, f: Array, hardening: Array) -> Array:
+def clamped(p: Parameters, f: Array, hardening: Array) -> NDArray[Any]:
     return np.linalg.det(f) <= LEAST_VOLUME * (1 + 1e-5)
 
 

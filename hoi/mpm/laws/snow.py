@@ -9,9 +9,10 @@ Snow Simulation.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hoi.data import Array, Material
 from hoi.mpm.law import Kernels, Law, lame
@@ -100,7 +101,7 @@ def kernels() -> Kernels:
     return Kernels(stress, stiffness, returned)
 
 
-def clamped(p: Parameters, f: Array, hardening: Array) -> Array:
+def clamped(p: Parameters, f: Array, hardening: Array) -> NDArray[Any]:
     return abs(p.xi * np.expm1(hardening)) >= MOST_HARDENED
 
 

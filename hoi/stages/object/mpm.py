@@ -64,6 +64,10 @@ class MPM(ObjectMover):
     """Of particles and grid."""
     damping: bool = MISSING
     """Solids lose energy so that they rebound with material.restitution; false: they are elastic, as in the paper."""
+    air_density: float = MISSING
+    """Of the air that slows a flight [kg/m^3]; 0: none."""
+    drag_coefficient: float = MISSING
+    """C_d: the air's force is C_d A rho v^2 / 2, A the mean silhouette of the object's hull [-]."""
     phases: bool = MISSING
     """Leave out the steps that the motion does not need: rest, and flight between contacts."""
     vibration_tolerance: float = MISSING
@@ -80,6 +84,8 @@ class MPM(ObjectMover):
         own = require.of(self.key)
         own(0 < self.limit_fraction <= 1, "limit_fraction", self.limit_fraction, "in (0, 1]")
         own(self.vibration_tolerance >= 0, "vibration_tolerance", self.vibration_tolerance, "0 or more")
+        own(self.air_density >= 0, "air_density", self.air_density, "0 or more [kg/m^3]")
+        own(self.drag_coefficient >= 0, "drag_coefficient", self.drag_coefficient, "0 or more")
         own(self.dt is None or self.dt > 0, "dt", self.dt, "greater than 0 [s], or null")
         for name in ("cells_across", "grid", "domain"):
             value = getattr(self, name)
@@ -178,6 +184,7 @@ def advance(
     from hoi.mpm.collider import Collider, joined
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
+    from hoi.mpm.rigid import air_drag
     from hoi.mpm.solver import Simulation
 
     thing, dx = scene.thing, conf.cell(size)
@@ -224,6 +231,7 @@ def advance(
         if whole
         else None,
         tolerance=conf.vibration_tolerance if conf.phases else None,
+        drag=air_drag(thing.particles, float(thing.masses.sum()), conf.air_density, conf.drag_coefficient),
     )
     states, phases = [], []
     for time in times:
@@ -268,7 +276,12 @@ def _count(numbers: dict[str, float], tally: Tally) -> None:
         "energy_left_out": tally.energy,
         "compile_seconds": tally.compile_seconds,
     }
-    greatest = {"vibration_left_out": tally.vibration, "cfl": tally.cfl, "dt_most": tally.dt_most}
+    greatest = {
+        "drag_left_out": tally.drag_left_out,
+        "vibration_left_out": tally.vibration,
+        "cfl": tally.cfl,
+        "dt_most": tally.dt_most,
+    }
     numbers.update({name: numbers.get(name, 0.0) + value for name, value in adds.items()})
     numbers.update({name: max(numbers.get(name, 0.0), value) for name, value in greatest.items()})
     if tally.steps:
