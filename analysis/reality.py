@@ -15,7 +15,7 @@ import pandas as pd
 from . import command
 from .experiments import Experiment
 
-MODULES = ("analysis.experiments",)
+MODULES = ("analysis.experiments", "analysis.experiments_people")
 """Where rows come from, in this order."""
 
 

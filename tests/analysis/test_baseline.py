@@ -12,6 +12,8 @@ from demo_run import BALL_RADIUS, ball, kick, make_run, person
 from analysis.baseline import run as baseline
 from analysis.baseline.clips import Clip, clips_of, mirrored, nearest, shipped_clips, with_mirrored
 from analysis.baseline.replay import carried_on, free_path, strike_at, strike_of
+from analysis.metrics import DYNAMICS, METRICS
+from analysis.records import load
 from hoi import record
 from hoi.body.kinematics import rotation_from_6d
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
@@ -219,6 +221,10 @@ def test_a_run_is_a_record_like_any_other(composed, clips, tmp_path, capsys):
     np.testing.assert_allclose(state.trajectory.com_velocity[after:], np.tile(push.v_human, (40 - after, 1)), atol=1e-9)
     assert run.scene is not None
     np.testing.assert_allclose(push.impulse, run.scene.object.masses.sum() * push.v_human, rtol=1e-5)
+    made = load(path)  # and what its motion takes is known as of any other
+    dynamics = {key: metric(made) for key, metric in METRICS.items() if metric.group == DYNAMICS}
+    assert len(dynamics) == 8 and np.isfinite(list(dynamics.values())).all()
+    assert dynamics["momentum_gap"] > 0.5 * np.linalg.norm(push.impulse)  # nobody takes the ball's momentum back
     assert baseline.execute(composed(*words), words, clips) == path
     assert "already computed" in capsys.readouterr().out
     with pytest.raises(InputError, match="another config"):

@@ -14,6 +14,8 @@ from analysis.ingest.__main__ import main
 from analysis.ingest.contact import centre_of_mass_path, find_contact, velocity
 from analysis.ingest.gltf import Animated
 from analysis.ingest.points import in_our_world, object_of, tracked_points, triangle_areas
+from analysis.metrics import DYNAMICS, METRICS
+from analysis.records import load
 from hoi import record
 from hoi.data import Material
 from hoi.errors import InputError
@@ -426,6 +428,8 @@ def test_a_mesh_record_holds_what_the_metrics_need(ingested):
     np.testing.assert_allclose(trajectory.com_velocity[-1], [0, 3, 0], atol=1e-4)
     with pytest.raises(InputError, match="/human/joints"):
         record.joints(path)
+    dynamics = [metric(load(path)) for metric in METRICS.values() if metric.group == DYNAMICS]
+    assert dynamics and np.isnan(dynamics).all()  # a mesh says nothing of joints and masses
 
 
 def test_a_video_record_holds_the_video(ingested):
