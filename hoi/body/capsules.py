@@ -19,6 +19,8 @@ MOST = 3
 """Capsules a joint."""
 NOISE = 0.005
 """Residual beyond which a Gaussian pulls on the fit no more than linearly [m]."""
+LOSS = {"loss": "soft_l1", "f_scale": NOISE, "max_nfev": 60}
+"""Of the fit, and how long it may take."""
 ROUNDS = 5
 """Of sharing the Gaussians out to several capsules and fitting those again."""
 FEWEST = 12
@@ -80,7 +82,7 @@ def fit_capsule(points: Array) -> tuple[Array, Array, float]:
         reach = np.zeros(3)
         reach[axis] = max(extent - thickest, 0.1 * extent)
         first = np.concatenate([middle - reach, middle + reach, [thickest]])
-        fits.append(least_squares(residuals, first, slopes, bounds, loss="soft_l1", f_scale=NOISE, max_nfev=60))
+        fits.append(least_squares(residuals, first, jac=slopes, bounds=bounds, **LOSS))  # pyright: ignore
     best = min(fits, key=lambda fit: fit.cost).x
     return axes @ best[:3] + centre, axes @ best[3:6] + centre, float(best[6])
 
@@ -102,6 +104,8 @@ def fit_union(points: Array) -> tuple[Array, Array, Array]:
         for _ in range(ROUNDS if count > 1 else 1):
             shares = [points[owner == i] for i in range(count)]
             fits = [fit_capsule(share) for share in shares if len(share) >= FEWEST]
+            if not fits:
+                break
             starts, ends, radii = (np.array(part) for part in zip(*fits, strict=True))
             owner = np.abs(segment_distances(points, starts, ends) - radii).argmin(axis=1)
             covered = float((np.abs(surface_distance(points, starts, ends, radii)) <= TOLERANCE).mean())

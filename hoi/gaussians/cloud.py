@@ -27,7 +27,7 @@ def cloud_of(
     with np.errstate(all="ignore"):  # what becomes NaN here is found by `hoi.gaussians.load_clean`
         quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
         arrays = (np.ascontiguousarray(a, np.float32) for a in (means, quaternions, scales, opacities, sh))
-        return GaussianCloud(*arrays, surface)
+        return GaussianCloud(*arrays, surface=surface)
 
 
 # --- colour ----------------------------------------------------------------------------------------------------------
@@ -104,7 +104,7 @@ def fibonacci_sphere(count: int) -> Array:
 
 def select(cloud: GaussianCloud, rows: NDArray[Any]) -> GaussianCloud:
     """The Gaussians of a mask or of indices."""
-    return GaussianCloud(*(array if array is None else array[rows] for array in fields_of(cloud).values()))
+    return replace(cloud, **{name: array[rows] for name, array in fields_of(cloud).items() if array is not None})
 
 
 def rotation_matrices(cloud: GaussianCloud) -> Array:

@@ -192,7 +192,7 @@ def moved_by(body: Body, joints: Sequence[int]) -> np.ndarray:
 
 def chosen(splats: Splats, rows: torch.Tensor) -> Splats:
     """Some of the Gaussians, by a mask (N,)."""
-    return Splats(*(tensor if tensor is None else tensor[rows] for tensor in fields_of(splats).values()))
+    return replace(splats, **{name: tensor[rows] for name, tensor in fields_of(splats).items() if tensor is not None})
 
 
 def subset(body: Body, rows: np.ndarray) -> Body:

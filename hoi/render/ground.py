@@ -290,8 +290,8 @@ def _line_length(x: Tensor, every: float, width: float) -> Tensor:
 
 def _between(low: Sequence[float], high: Sequence[float], share: Tensor) -> Tensor:
     """Colours (height, width, 3)."""
-    low, high = share.new_tensor(low), share.new_tensor(high)
-    return low + (high - low) * share[..., None]
+    first, last = share.new_tensor(low), share.new_tensor(high)
+    return first + (last - first) * share[..., None]
 
 
 def _mix(a: float | Tensor, b: float | Tensor, share: Tensor) -> Tensor:

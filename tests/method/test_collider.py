@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bodies import HAND, carried, cloud_of, fist
 
-from hoi.body.capsules import Capsules, carry, fit_capsule, fit_capsules, surface_distance
+from hoi.body.capsules import Capsules, carry, fit_capsule, fit_capsules, fit_union, surface_distance
 from hoi.body.limb_collider import limb_collider, outside, spacing
 from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
@@ -361,3 +361,10 @@ def test_carry_follows_a_joint():
     starts, ends = carry(capsules, np.full((24, 3), 0.05), rotations, positions)
     np.testing.assert_allclose(starts[1, 0], [1.05, 2.05, 2.95])
     np.testing.assert_allclose(ends[0, 0], [1.05, 2.15, 2.95])
+
+
+def test_a_limb_of_few_gaussians_is_one_capsule():
+    """Shared out among several it would leave each too few."""
+    points = np.random.default_rng(0).normal(0, 1, (14, 3)) * [0.2, 0.2, 0.2]
+    starts, ends, radii = fit_union(points)
+    assert len(radii) == 1 and np.isfinite([*starts[0], *ends[0], radii[0]]).all()
