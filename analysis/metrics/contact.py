@@ -84,7 +84,8 @@ def closing_speed(record: Record) -> float:
 def formula_error(record: Record) -> float:
     """Deviation of an impulse's recorded V_post from V_obj + (1 + e) v_in n mu / m, relative to it (paper, Contact
     Detection and Re-simulation). mu is the reduced mass of limb and object along n, 1 / mu = 1 / m_eff + 1 / m + what
-    the recorded spin adds; without either, as in the paper, m. All from the record; empty for a push that lasts."""
+    the recorded spin adds; without either, as in the paper, m. e is the material's, less what a limb of flesh takes.
+    All from the record; empty for a push that lasts."""
     push, scene = record.push, record.scene
     if push.duration > 0:
         return NAN
@@ -92,7 +93,9 @@ def formula_error(record: Record) -> float:
     arm = push.point - at_frame(record.trajectory.com, push.frame)
     spin = float(np.cross(arm, push.normal) @ push.spin) / given if given > 0 else 0.0
     share = 1 / mass / (1 / push.limb_mass + 1 / mass + spin)
-    expected = push.v_object + (1 + scene.thing.material.restitution) * max(push.v_in, 0.0) * share * push.normal
+    flesh = 1.0 if push.limb_mass == math.inf else float(record.conf("stage", "contact", "flesh", default=1.0))
+    restitution = flesh * scene.thing.material.restitution
+    expected = push.v_object + (1 + restitution) * max(push.v_in, 0.0) * share * push.normal
     size = float(np.linalg.norm(expected))
     return NAN if size == 0 else float(np.linalg.norm(push.v_post - expected)) / size
 

@@ -28,7 +28,7 @@ INSTANT = 0.01
 """Half the time over which the velocity at an instant is taken [frames]."""
 
 
-def exchange(contact: Contact, thing: SceneObject, state: ObjectState, limb: float) -> Contact:
+def exchange(contact: Contact, thing: SceneObject, state: ObjectState, limb: float, flesh: float = 1.0) -> Contact:
     """The contact with the impulse P n that limb and object exchange, both as free to answer as they are.
 
     P = (1 + e) v_in / (1 / m_eff + 1 / m + (r x n) I^-1 (r x n)), r from the object's centre of mass to the point: with
@@ -37,6 +37,7 @@ def exchange(contact: Contact, thing: SceneObject, state: ObjectState, limb: flo
     Args:
         state: the object's at t_c.
         limb: 1 / m_eff [1/kg].
+        flesh: what the limb leaves of the material's restitution; e is their product [-].
     """
     masses = thing.masses
     arms = state.positions - centre_of_mass(state.positions, masses)
@@ -49,7 +50,7 @@ def exchange(contact: Contact, thing: SceneObject, state: ObjectState, limb: flo
     at_point = v_object + np.cross(np.linalg.solve(inertia, momentum), arm)
     v_in = float((contact.v_human - at_point) @ contact.normal)
     give = limb + 1 / mass + float(np.cross(arm, contact.normal) @ turn)
-    given = (1 + thing.material.restitution) * max(v_in, 0.0) / give
+    given = (1 + flesh * thing.material.restitution) * max(v_in, 0.0) / give
     return replace(
         contact, v_object=v_object, v_in=v_in, v_post=v_object + given / mass * contact.normal,
         impulse=given * contact.normal, spin=given * turn, limb_mass=1 / limb if limb > 0 else np.inf,

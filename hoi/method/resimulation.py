@@ -23,20 +23,21 @@ def resimulate(
     states: Sequence[ObjectState],
     contact: Contact,
     limb: float,
+    flesh: float,
     move: Mover,
     stage: Stage,
 ) -> tuple[ObjectTrajectory, Contact]:
     """The object from t_c on, with what the impulse adds to its motion; what was before stays as in `free`.
 
     Args:
-        limb: 1 / m_eff [1/kg]; 0 for a limb that nothing stops.
+        limb: 1 / m_eff [1/kg]; 0 for a limb that nothing stops. flesh: see `hoi.method.contact.exchange`.
 
     Returns:
         the trajectory, and the contact with the impulse.
     """
     t_c = contact.frame
     state = _state_at(scene, free, states, t_c, move, stage)
-    contact = exchange(contact, scene.thing, state, limb)
+    contact = exchange(contact, scene.thing, state, limb, flesh)
     struck = kick(
         state, contact.v_post - contact.v_object, contact.spin, centre_of_mass(state.positions, scene.thing.masses)
     )

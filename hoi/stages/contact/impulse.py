@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from omegaconf import MISSING
+
 from hoi.stages.contact import Detection
-from hoi.stages.contract import option
+from hoi.stages.contract import Requirements, option
 
 if TYPE_CHECKING:
+    from hoi.config import Config
     from hoi.data import ObjectState, Scene, State
     from hoi.method.object_motion import Mover
     from hoi.reports import Stage
@@ -22,6 +25,13 @@ class Impulse(Detection):
 
     since = "from t_c to T"
 
+    flesh: float = MISSING
+    """What a limb leaves of the material's restitution, where it is not one that nothing stops [-]."""
+
+    def check(self, config: Config, require: Requirements) -> None:
+        super().check(config, require)
+        require.of(self.key)(0 <= self.flesh <= 1, "flesh", self.flesh, "in [0, 1]")
+
     def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
         from hoi.method.resimulation import resimulate
 
@@ -29,12 +39,12 @@ class Impulse(Detection):
         assert motion is not None and free is not None and search is not None and search.push is not None
         push = search.push
         if not self.answers(scene, stage):
-            trajectory, struck = resimulate(scene, free, restarts, push, 0.0, move, stage)
+            trajectory, struck = resimulate(scene, free, restarts, push, 0.0, 1.0, move, stage)
             return replace(state, trajectory=trajectory, contact=search.with_push(struck))
         from hoi.method.reaction import person_at, react
 
         person = person_at(scene, motion, push.frame / scene.fps, self.muscles)
         limb = person.inverse_mass(push.joint, push.point, push.normal)
-        trajectory, struck = resimulate(scene, free, restarts, push, limb, move, stage)
+        trajectory, struck = resimulate(scene, free, restarts, push, limb, self.flesh, move, stage)
         motion = react(person, [struck], stage)
         return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(struck))
