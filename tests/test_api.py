@@ -222,13 +222,14 @@ def test_a_ball_in_free_fall_is_on_a_parabola():
     time = np.arange(11) / 20
     path = moved.com[0] + np.outer(time, [1, 0, 2]) + np.outer(time**2, [0, 0, -9.81 / 2])
     assert moved.phase == ("flight",) * 11
-    np.testing.assert_allclose(moved.com, path, atol=1e-5)
+    np.testing.assert_allclose(moved.com, path, atol=0.006)
+    assert 0.001 < path[-1, 0] - moved.com[-1, 0]  # less what the air takes
     np.testing.assert_allclose(moved.positions[0, : len(cloud)], cloud.means, atol=1e-6)
     assert moved.positions.shape[0] == len(moved.com) == 11
 
 
 def test_it_comes_to_rest_on_the_ground():
-    moved = hoi.simulate(at(ball(count=500), [0, 0, 0.5]), "clay", 1.6, fps=10, cells_across=6)
+    moved = hoi.simulate(at(ball(count=500), [0, 0, 0.5]), "metal", 1.6, fps=10, cells_across=6)
     assert list(dict.fromkeys(moved.phase)) == ["flight", "mpm", "rest"], "the phases of a run"
     assert np.linalg.norm(moved.com_velocity[-1]) == 0 and moved.positions[-1, :, 2].min() > -0.03
     assert 0.03 < moved.com[-1, 2] < 0.1

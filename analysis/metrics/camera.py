@@ -54,6 +54,8 @@ def contact_seen(record: Record) -> float:
 
 
 def _cameras(record: Record) -> tuple[Camera, ...]:
+    if not record.path.exists():  # it was never written
+        raise Undefined
     try:
         footage = records.video(record.path)
     except records.NoVideo:

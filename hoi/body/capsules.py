@@ -25,7 +25,7 @@ ROUNDS = 5
 """Of sharing the Gaussians out to several capsules and fitting those again."""
 FEWEST = 12
 """Gaussians a capsule is fitted to."""
-ENOUGH = 250
+ENOUGH = 400
 """Gaussians of a joint that the fit looks at."""
 
 

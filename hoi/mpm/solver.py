@@ -279,7 +279,7 @@ class Simulation:
             until = min([until, *(t for t in self.collider.times if self.time + INSTANT < t < until - INSTANT)])
         low, high, speed, wave_speed = self._look()
         left = until - self.time
-        dt = self.time_step()
+        dt = min(self.time_step(), self._partner_step())
         steps = max(math.ceil(left / dt * (1 - 1e-9)), 1)
         dt = left / steps
         cfl = (wave_speed + speed) * dt / self.dx
@@ -418,6 +418,12 @@ class Simulation:
         corners = _corners(low, high)
         reach = 0.5 * self.size * self.dx + path
         return any(((corners - plane.point) @ plane.normal).min() < reach for plane in self.planes)
+
+    def _partner_step(self) -> float:
+        """The longest step in which no capsule of the partner moves by more than half a cell [s]."""
+        if self.partner is None:
+            return math.inf
+        return 0.5 * self.dx / max(float(np.linalg.norm(self.partner.velocities, axis=-1).max()), 1e-9)
 
     def _partner_near(self, low: Array, high: Array, path: float, seconds: float) -> bool:
         """Whether a capsule of the partner may reach nodes of particles in this box that move by `path` [m]."""

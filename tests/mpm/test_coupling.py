@@ -91,7 +91,7 @@ def test_equal_masses_all_but_exchange_their_velocities():
 @pytest.mark.parametrize("heft", [1e-3, 1.0, 100.0])
 @pytest.mark.parametrize("stiffness", [1e4, 1e7])
 def test_no_energy_comes_from_nowhere_however_unequal_they_are(mass, heft, stiffness):
-    stone = Stone([0, -0.155, 0], [0, 5.0, 0], heft)
+    stone = Stone([0, -0.146, 0], [0, 5.0, 0], heft)
     before = stone.energy
     points, volumes, material = ball_of(mass, stiffness)
     masses = volumes * material.density
@@ -100,7 +100,7 @@ def test_no_energy_comes_from_nowhere_however_unequal_they_are(mass, heft, stiff
         collider=stone,
     )  # fmt: skip
     for _ in range(6):
-        run.advance(run.time + 60 * run.time_step())
+        run.advance(run.time + max(60 * run.time_step(), 2e-4))
         kinetic, elastic, _ = run.energies(run.state())
         assert np.isfinite(stone.velocity).all()
         assert kinetic + elastic + stone.energy <= before * 1.02

