@@ -21,6 +21,8 @@ MIN_OPACITY = 0.05
 """Fainter Gaussians are haze; they would be simulated as if they were matter."""
 SOLID = 0.3
 """Fainter ones than this hold nothing together: they belong to what solid Gaussians they touch."""
+FAINTER = 0.7
+"""In a thing that is see-through all over, those fainter than this share of its usual opacity."""
 PADDING = 8
 """So many Gaussians that are alike in everything are padding; fewer are clones, of which one stays with the opacity of
 all."""
@@ -113,7 +115,7 @@ def _keep(cloud: GaussianCloud, mask: NDArray[np.bool_]) -> GaussianCloud:
 def _of_the_object(cloud: GaussianCloud) -> NDArray[np.bool_]:
     """Which Gaussians belong to the main piece or to those near it that have a body; the rest floats."""
     means, area = cloud.means.astype(np.float64), areas(cloud)
-    solid = cloud.opacities >= min(SOLID, _shown_half(cloud.opacities, area))
+    solid = cloud.opacities >= min(SOLID, FAINTER * _shown_half(cloud.opacities, area))
     piece = _pieces(cloud, means, solid)
     count = int(piece.max()) + 1
     members, weights = np.bincount(piece[solid], minlength=count), np.bincount(piece, area, minlength=count)

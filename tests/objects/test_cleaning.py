@@ -105,3 +105,12 @@ def test_all_in_one_place_is_refused_for_that() -> None:
         cleaning.clean(
             replace(ball_, means=np.zeros_like(ball_.means), opacities=np.linspace(0.2, 1, 4000, dtype="f4"))
         )
+
+
+def test_a_thing_smoothed_until_it_is_see_through_keeps_its_fainter_half() -> None:
+    """As Mip-Splatting's filter leaves thin Gaussians: all of one surface, some at 0.25 and some at 0.3."""
+    points = fibonacci_sphere(3000)
+    thing = flat(points, points, 0.03)
+    upper = np.where(points[:, 2] > 0.4, 0.25, 0.3036).astype(np.float32)
+    cleaned, notes = cleaning.clean(replace(thing, opacities=upper))
+    assert len(cleaned) == 3000 and notes == []
