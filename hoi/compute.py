@@ -7,6 +7,7 @@ imported when `ti` is first asked for; what `ti` does not give are the functions
 
 import contextlib
 import functools
+import gc
 import importlib
 import io
 import os
@@ -61,7 +62,7 @@ def __getattr__(name: str) -> Any:
 def start_compiler(precision: Precision, threads: int, device: Device) -> None:
     """Starts the compiler, unless it runs with just these settings: then its compiled kernels are kept.
 
-    On a CPU vectors are kept whole, so that each is one register.
+    On a CPU vectors are kept whole, so that each is one register. Arrays of before are lost by a start.
 
     Raises:
         InputError: a value that is not allowed, or no CUDA device.
@@ -84,11 +85,23 @@ def start_compiler(precision: Precision, threads: int, device: Device) -> None:
             return
     if device == "cuda" and not ti.lang.misc.is_arch_supported(ti.cuda):
         raise InputError(f"device is cuda, but {compiler().capitalize()} finds no CUDA device; use cpu")
+    if program is not None:
+        _disown_arrays(ti)
     with contextlib.redirect_stdout(io.StringIO()):  # ti.init prints the device it starts on
         ti.init(
             arch=arch, default_fp=real, default_ip=ti.i32, cpu_max_num_threads=threads, log_level=ti.ERROR,
             enable_fallback=False, real_matrix_scalarize=device == "cuda",
         )  # fmt: skip
+
+
+def _disown_arrays(ti: Any) -> None:
+    """Cuts the arrays of the program that ends off from its memory.
+
+    An array's end frees what lies at its address in the program of that time, which may by then be another's.
+    """
+    for thing in gc.get_objects():
+        if issubclass(type(thing), ti.Ndarray):  # a proxy would have isinstance ask what it stands for
+            thing.arr = None
 
 
 def default_float() -> type[np.floating[Any]]:

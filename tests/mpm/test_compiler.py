@@ -31,6 +31,21 @@ def test_which_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
         compute.compiler()
 
 
+def test_an_array_of_an_ended_program_frees_nothing_of_the_next() -> None:
+    """Addresses come back: the end of an old array must not end the new one that lies there."""
+    compute.start_compiler("float32", 1, "cpu")
+    ti = compute.ti
+    old = [ti.Vector.ndarray(4, ti.f32, 100) for _ in range(300)]
+    compute.start_compiler("float64", 1, "cpu")
+    new = [ti.Vector.ndarray(4, ti.f64, 100) for _ in range(300)]
+    assert {array.arr for array in old} == {None}
+    del old
+    new += [ti.Vector.ndarray(4, ti.f64, 100) for _ in range(300)]
+    for number, array in enumerate(new):
+        array.fill(float(number))
+    assert all((array.to_numpy() == number).all() for number, array in enumerate(new))
+
+
 def thrown(model: str, precision: Any) -> ObjectState:
     """A small block of that law after 50 steps, thrown onto the ground."""
     from hoi.mpm.solver import simulate
