@@ -411,6 +411,28 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Missing:
+    """A file, folder, package or device that a kept step needs and that is not there."""
+
+    key: str
+    """Of the config, which asks for it."""
+    what: str
+    path: str
+    """Where it was looked for."""
+    size: str
+    """Of the download; empty where it is none."""
+    remedy: str
+    """Where to get it, or what runs without it."""
+    needed: bool = True
+    """Whether nothing runs without it; else what is done instead stands in `remedy`."""
+
+    def __str__(self) -> str:
+        size = f" ({self.size})" if self.size else ""
+        wanted = "" if self.needed else ", not necessary"
+        return f"{self.key}: no {self.what}{size} at {self.path}{wanted}; {self.remedy}"
+
+
+@dataclass(frozen=True)
 class Plan:
     variant: str
     """Label for tables, derived from the steps: "full", "no_mpm", "no_mpm+no_video_sds", ..."""
@@ -418,8 +440,10 @@ class Plan:
     omissions: tuple[Omission, ...]
     checks: tuple[Check, ...]
     uses: tuple[str, ...] = ()
-    """What the kept steps work with: "motion_prior"; in stage 2 "hmsd", "attraction" and "approach", which lets the
-    object's place decide where the person starts."""
+    """What the kept steps work with: "motion_prior"; before stage 2 "approach", which lets the object's place decide
+    where the person starts; in stage 2 "hmsd" and "attraction"."""
+    missing: tuple[Missing, ...] = ()
+    """What the kept steps need and do not find."""
 
     def keeps(self, name: str) -> bool:
         """Whether the step of this name is kept."""

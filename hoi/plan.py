@@ -1,15 +1,17 @@
 """What a run will do, decided from the config alone, before anything heavy is imported.
 
 A step that the scene does not need is left out, with the reason and what that saves in the plan and in the record.
-An omission is exact or carries its error bound. Each option of a stage adds its own lines (`hoi.stages`).
+An omission is exact or carries its error bound. Each option of a stage adds its own lines (`hoi.stages`). Whatever is
+missing is found here, all of it, and said in one go.
 """
 
 import math
 from pathlib import Path
 
-from hoi.config import Ablation, Config, MaterialConf, ObjectKind
-from hoi.data import Check, Material, Plan
+from hoi.config import Ablation, Config, Device, HumanKind, MaterialConf, ObjectKind
+from hoi.data import Check, Material, Missing, Plan
 from hoi.errors import InputError, under
+from hoi.gpu import gpus
 from hoi.stages.contract import Draft, labels
 
 
@@ -54,13 +56,12 @@ def materials_of(config: Config) -> tuple[Material, ...]:
 
 
 def make_plan(config: Config) -> Plan:
-    """Kept steps, omissions and checks of a config.
+    """Kept steps, omissions and checks of a config, and all that these need and that is not there.
 
     Raises:
-        InputError: a material or time step out of range, weights that do not exist, or a label that contradicts
-            `ablation`.
+        InputError: a material or time step out of range, or a label that contradicts `ablation`.
     """
-    draft = Draft(materials_of(config))
+    draft = Draft(materials_of(config), missing=_missing(config))
     for option in config.options:
         option.plan(config, draft)
     config.stage.object.closing(config, draft)
@@ -72,7 +73,47 @@ def make_plan(config: Config) -> Plan:
             f"ablation={config.ablation.value} contradicts the rest of the config, which runs with "
             f"{parts[config.ablation.value]} (variant {variant}); drop one of the two"
         )
-    return Plan(variant, tuple(draft.steps), tuple(draft.omissions), tuple(draft.checks), tuple(draft.uses))
+    return Plan(
+        variant,
+        tuple(draft.steps),
+        tuple(draft.omissions),
+        tuple(draft.checks),
+        tuple(draft.uses),
+        tuple(draft.missing),
+    )
+
+
+def check_complete(plan: Plan) -> None:
+    """Before anything is computed.
+
+    Raises:
+        InputError: something that the plan needs is missing; a line each, also of what is merely better to have.
+    """
+    if any(each.needed for each in plan.missing):
+        raise InputError("\n".join(map(str, plan.missing)))
+
+
+def _missing(config: Config) -> list[Missing]:
+    """Of the person, the object and the machine."""
+    found, human = [], config.human
+    if human.kind is not HumanKind.builtin and human.path is not None:
+        path = Path(human.path)
+        what = "SMPL model file" if human.kind is HumanKind.smpl else "avatar's folder or PLY file"
+        get = "docs/people.md says where they are from; human=man and others are in the package"
+        if not path.exists():
+            found.append(Missing("human.path", what, str(path), "", get))
+        elif human.kind is HumanKind.avatar:
+            beside = path if path.is_dir() else path.parent
+            files = {"human.path": beside / "gaussians.ply"} if path.is_dir() else {}
+            files["human.skinning"] = Path(human.skinning) if human.skinning else beside / "skinning.npz"
+            found += [Missing(key, "file", str(file), "", get) for key, file in files.items() if not file.is_file()]
+    if config.object.kind is ObjectKind.file and config.object.path is not None:
+        if not Path(config.object.path).exists():
+            get = "object=soccer_ball and others are in the package"
+            found.append(Missing("object.path", "3DGS file", config.object.path, "", get))
+    if config.device is Device.cuda and not gpus():
+        found.append(Missing("device", "CUDA device", "this machine", "", "device=auto or device=cpu run without one"))
+    return found
 
 
 def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check]:
@@ -93,11 +134,17 @@ def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check
     return checks
 
 
+def _lacking(missing: Missing) -> str:
+    size = f" ({missing.size})" if missing.size else ""
+    return f"{missing.what}{size} at {missing.path}; {missing.remedy}"
+
+
 def format_plan(plan: Plan) -> str:
     """The plan as one table."""
     rows = [("RUN", step.name, step.implementation, step.reason) for step in plan.steps]
     rows += [("OMIT", o.what, "", f"{o.because}; saves {o.saves}") for o in plan.omissions]
     rows += [("CHECK", check.name, check.value, check.detail) for check in plan.checks]
+    rows += [("LACK", m.key, "needed" if m.needed else "optional", _lacking(m)) for m in plan.missing]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row[:3], widths, strict=True)) + f"  {row[3]}"

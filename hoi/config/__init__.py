@@ -70,6 +70,10 @@ class Config:
     """Print the plan and stop."""
     device: Device = MISSING
     """For torch and Taichi alike."""
+    mdm: str = MISSING
+    """Folder of the published motion prior, STMC's MDM-SMPL, for `stage/motion=hmsd_paper`."""
+    cogvideox: str = MISSING
+    """Folder or hub name of CogVideoX-5B, for `stage/refine=cogvideox`."""
     threads: int | None = None
     """CPU threads; null takes what the machine has."""
     human_points: int = MISSING

@@ -63,8 +63,10 @@ class SceneConf:
     placement: PlacementConf = field(default_factory=PlacementConf)
     approach: Approach = Approach.step
     """The person is placed and turned such that the strike ends at the object, and steps in (step) or stays where they
-    are (stand); none: they start at the origin facing +Y, wherever the object is. It is a part of the attraction:
-    without one, or without a motion prior, the person starts there too."""
+    are (stand); none: they start at the origin facing +Y, wherever the object is. Who has no motion prior and so does
+    not move yet faces the object, within reach of it."""
+    tempo: float = 1.0
+    """How many times as fast as the motion prior's the strike is, by a time warp around t* [-]."""
     striking_limb: str | None = None
     """The limb that j* is chosen from; null takes all joints, as the paper does."""
     striking_joints: list[str] | None = None

@@ -164,6 +164,7 @@ def validate(config: Config) -> list[str]:
         require(not known or scene.contact_joint in together, "scene.contact_joint", scene.contact_joint, rule)
     rule = "0 or more [s]" if together else "0: scene.striking_joints is null"
     require(scene.hold == 0 or (together is not None and scene.hold > 0), "scene.hold", scene.hold, rule)
+    require(0.25 <= scene.tempo <= 4, "scene.tempo", scene.tempo, "in [0.25, 4]")
     last = scene.frames - 1
     require(0 <= scene.contact_frame <= last, "scene.contact_frame", scene.contact_frame, f"in [0, {last}]")
 

@@ -1,21 +1,25 @@
-"""Where and when the person starts, and which way they face (paper, In-Scene Variations).
+"""Where and when the person starts, which way they face, and how fast they strike (paper, In-Scene Variations).
 
 The motion prior knows nothing of it: its motions are the same wherever they begin. So the object's place decides,
 exactly and before any optimisation, what attraction would otherwise have to tear out of the motion.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import roma
 import torch
+from scipy.special import erf
 
+from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
+from hoi.body.skeleton import CHAINS, chain_of
 from hoi.body.skinning import joint_paths
 from hoi.data import Array, Motion, ObjectTrajectory, Scene, Target
-from hoi.method.attraction import carried_push, carried_strike, pushed_face
-from hoi.method.push import facing
+from hoi.method.attraction import ENDS, carried_push, carried_strike, pushed_face
+from hoi.method.push import depth_along, facing
 from hoi.method.scene_representation import check_apart, is_apart
 
 WAITING = 0.02
@@ -26,13 +30,19 @@ BACK, BACK_STEP = 0.5, 0.02
 """How far, and in which steps, a person is moved back who would start inside the object [m]."""
 NO_DIRECTION = 0.01
 """What is nearer to the origin than this lies in no direction [m]."""
+STILL = 1e-3
+"""Joints that move no farther than this strike nothing yet [m]."""
+STRETCH = 0.9
+"""Whoever stands still stands where a limb so much stretched ends at the object [-]."""
+STRIKE = 0.15
+"""Standard deviation of the time around t* in which a strike is faster or slower than the prior's [s]."""
 
 
 def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> tuple[Motion, Target]:
     """The motion, from where its strike ends at the object's surface, at a time when the object is at its height.
 
     Who begins with a limb farther out than the strike ends would begin inside the object: they stand as much farther
-    back, and have that much farther to reach.
+    back, and have that much farther to reach. A person who stands still (w/o MDM) faces the object, within reach of it.
 
     Raises:
         InputError: the person would start inside the object `BACK` away from it.
@@ -41,7 +51,9 @@ def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target:
     height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
     later = delay(height, trajectory.com[:, 2], meeting)
     motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
-    if target.joints:
+    if is_still(joint_paths(scene.body, motion)[:, list(target.striking)]):
+        there = within_reach(scene, motion, trajectory, target)
+    elif target.joints:
         there = squared(scene, motion, trajectory, target)
     else:
         there = placed(
@@ -70,6 +82,49 @@ def squared(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: 
         now = joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking)]
         motion = shifted(motion, (goals - now).mean(axis=0) * [1.0, 1.0, 0.0])
     return motion
+
+
+def is_still(paths: Array) -> bool:
+    """Whether joints (T, K, 3) [m] stay where they are."""
+    return float(np.ptp(paths, axis=0).max()) < STILL
+
+
+def within_reach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Motion:
+    """The still motion turned to face the object, and moved along the ground to where its limbs, stretched, reach it.
+
+    The limb begins at its chain's first joint (shoulder, hip), which comes to stand straight before the middle of what
+    it is to touch.
+    """
+    meeting, striking = target.meeting_frame(scene.frames), list(target.striking)
+    com, body = trajectory.com[meeting], scene.body
+    means = trajectory.positions[meeting, : len(scene.thing.cloud)]
+    if np.linalg.norm(com[:2]) > NO_DIRECTION:
+        ahead = facing(joint_paths(body, motion, frames=[meeting])[0])
+        motion = turned(motion, float(np.arctan2(com[1], com[0]) - np.arctan2(ahead[1], ahead[0])))
+    way = facing(joint_paths(body, motion, frames=[meeting])[0])
+    joints = joint_paths(body, motion, frames=[meeting])[0]
+    chains = [CHAINS[chain_of(joint)] for joint in striking]
+    limbs = [chain[: chain.index(joint) + 1] for chain, joint in zip(chains, striking, strict=True)]
+    root = joints[[limb[0] for limb in limbs]].mean(axis=0)
+    slack = max(0.5 * float(np.ptp(means[:, 2])) - ENDS, 0.0)
+    height = float(joints[striking, 2].mean())
+    aim = com + np.array([0.0, 0.0, np.clip(height - com[2], -slack, slack)])
+    surface = aim - way * depth_along(means, aim, way)
+    length = min(np.linalg.norm(np.diff(body.rest_joints[list(limb)], axis=0), axis=1).sum() for limb in limbs)
+    level = math.sqrt(max((STRETCH * float(length)) ** 2 - float(surface[2] - root[2]) ** 2, 0.0))
+    return shifted(motion, (surface - way * level - root) * [1.0, 1.0, 0.0])
+
+
+def hastened(motion: Motion, target: Target, tempo: float) -> Motion:
+    """The motion with its strike `tempo` times as fast at t*, on the same path; away from the strike as fast as it was.
+
+    Frame t shows what was at t + (tempo - 1) s sqrt(pi/2) erf((t - c) / (sqrt(2) s)), c the middle of the fastest step
+    and s `STRIKE`: at t* as before, earlier and later moved by less than 1.3 s of |tempo - 1|, the ends held.
+    """
+    spread, middle = STRIKE * motion.fps, target.frame + 0.5
+    frames = np.arange(len(motion), dtype=float)
+    ahead = (tempo - 1) * spread * math.sqrt(math.pi / 2) * erf((frames - middle) / (math.sqrt(2) * spread))
+    return interpolate_motion(motion, np.clip(frames + ahead, 0, len(motion) - 1))
 
 
 def turned(motion: Motion, angle: float) -> Motion:

@@ -74,6 +74,7 @@ def find_contact(
     tau: float,
     distance: float,
     between_frames: bool,
+    widened: bool = True,
     over_a_frame: bool = False,
     to_com: bool = False,
     together: Sequence[int] = (),
@@ -87,6 +88,7 @@ def find_contact(
         trajectory: the object's free motion.
         tau: tau_contact [-]. distance: d_contact [m].
         between_frames: whether to look between frames too.
+        widened: whether boxes that are as near as Gaussians have to be will do; the paper's have to overlap.
         over_a_frame: V_human as the paper has it, of the joint and over the frame before t_c; else that of the touched
             point at t_c.
         to_com: whether n leads to the centre of mass, as in the paper; else it is the surface's.
@@ -121,7 +123,8 @@ def find_contact(
             found = touch(limb, object_now, distance, plates_now, slack[limbs.members[joint]])
             if found.gap < gap:
                 gap, gap_frame, gap_joint = found.gap, frame, joint
-            if found.fraction >= tau and found.point is not None:
+            meet = widened or _overlap(*box_of(limb), *box_of(object_now), 0.0)
+            if found.fraction >= tau and found.point is not None and meet:
                 touching[joint] = found
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):
             if over_a_frame:
@@ -229,6 +232,11 @@ def _tests(
         paths = {joint: limbs.at(joint, between) for joint in swept}
         for i, time in enumerate(between):
             yield float(time), {joint: path[i] for joint, path in paths.items()}
+
+
+def box_of(points: Array) -> tuple[Array, Array]:
+    """The corners of the axis-aligned box of points (N, 3) [m], (3,) each."""
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _overlap(low: Array, high: Array, other_low: Array, other_high: Array, margin: float) -> bool:

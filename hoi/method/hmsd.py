@@ -96,6 +96,8 @@ class ScoreDistillation:
     """Of the guidance, see `hoi.motion.diffusion.guide`."""
     t_min: int
     t_max: int
+    summed: bool = False
+    """Whether the loss is the sum over features and frames, or their mean."""
     stand: bool = False
     """Whether the person stays where they are: the prior is held to a pelvis that does not travel."""
 
@@ -120,11 +122,11 @@ class ScoreDistillation:
         return x0
 
     def loss(self, pose: PoseParameters, generators: Sequence[torch.Generator]) -> Tensor:
-        """0.5 w(t) |X - X0_hat|^2, averaged over features and frames, of each run, (B,); X0_hat is held constant.
+        """0.5 w(t) |X - X0_hat|^2, mean (or sum) over features and frames, of each run, (B,); X0_hat is held constant.
 
-        The paper's w (X0_hat - X) is the direction of the update; the gradient to descend is its negative, which this
-        has. w(t) = 1 - alphas_cumprod[t] (Human Motion Score Distillation Details). Each run draws t and noise from
-        its own generator.
+        The paper's w (X0_hat - X) is the direction of the update; the gradient to descend is its negative, which the
+        sum has; the mean has a (205 T)th of it. w(t) = 1 - alphas_cumprod[t] (Human Motion Score Distillation
+        Details). Each run draws t and noise from its own generator.
         """
         x = self.features(pose)
         drawn = [
@@ -136,7 +138,8 @@ class ScoreDistillation:
             x_t = q_sample(x, t, noise.to(x), self.prior.alphas_cumprod)
             x0 = self.predict_x0(x_t, t, self.guidance, self.rescale)
         weights = 1 - self.prior.alphas_cumprod.to(x)[t]
-        return 0.5 * weights * ((x - x0) ** 2).mean(dim=(-1, -2))
+        squared = (x - x0) ** 2
+        return 0.5 * weights * (squared.sum(dim=(-1, -2)) if self.summed else squared.mean(dim=(-1, -2)))
 
 
 def optimise(
@@ -202,6 +205,7 @@ def load_distillation(
     rescale: float,
     t_min: int,
     t_max: int,
+    summed: bool = False,
     stand: bool = False,
     clip: Path | None = None,
 ) -> ScoreDistillation:
@@ -221,6 +225,7 @@ def load_distillation(
         rescale=rescale,
         t_min=t_min,
         t_max=min(t_max, prior.timesteps),
+        summed=summed,
         stand=stand,
     )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from hoi.body.skinning import stand_motion
 from hoi.data import Motion, ObjectState, Plan, Scene, State
 from hoi.errors import under
-from hoi.method.approach import approach
+from hoi.method.approach import approach, hastened
 from hoi.method.attraction import Batch, coordinate
 from hoi.method.hmsd import ScoreDistillation
 from hoi.method.object_motion import Mover, at_rest, free_motion
@@ -87,13 +87,14 @@ class Walk:
 
         # Contact detection and re-simulation.
         if self.plan.keeps("contact"):
+            model = options.contact.beside(options.object)
             with stages.stage("contact", 1):
                 together = state.target.joints if state.target else ()
-                search = options.contact.search(scene, state.motion, state.trajectory, together)
+                search = model.search(scene, state.motion, state.trajectory, together)
             self.states[run] = state = replace(state, contact=search)
             if (push := search.push) is not None:
                 with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:
-                    state = options.contact.answer(scene, state, self.restarts, self.move, stage)
+                    state = model.answer(scene, state, self.restarts, self.move, stage)
                 self.states[run] = state
 
         # Video-SDS for Contact Fidelity: theta of the frames around contact; the object's trajectory is held fixed.
@@ -108,6 +109,8 @@ class Walk:
         motion, trajectory = state.motion, state.trajectory
         assert motion is not None and trajectory is not None
         target = self.config.stage.motion.target(scene, motion, self.config.scene)
+        if self.config.scene.tempo != 1:
+            motion = hastened(motion, target, self.config.scene.tempo)
         if "approach" in self.plan.uses:
             with under("scene"):
                 motion, target = approach(scene, motion, trajectory, target)

@@ -21,12 +21,12 @@ from hoi.errors import InputError
 from hoi.files import whole_file
 from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, guide
 from hoi.motion.features import FEATURE_COUNT
+from hoi.motion.files import CHECKPOINT, DESCRIPTION_NAME, REST_JOINTS_NAME, WEIGHTS_NAME, run_folder
 from hoi.motion.mdm import Architecture, MotionDenoiser
 from hoi.motion.text import TextEncoder, clip, default_cache, minilm
 
 EMBEDDED = Path(__file__).parent / "weights"
 FORMAT = "hoi motion prior 1"
-WEIGHTS_NAME, DESCRIPTION_NAME = "prior.safetensors", "prior.json"
 DENOISER_PREFIX = "denoiser."
 STMC_EPSILON = 1e-12
 NAMED = 4
@@ -223,16 +223,15 @@ def _load_own(folder: Path, cache: Path) -> MotionPrior:
 
 # --- STMC -------------------------------------------------------------------------------------------------------------
 
-REST_JOINTS_NAME = "rest_joints.npy"
 SMPL_PELVIS_HEIGHT = 0.92
 """Pelvis above the toe joints in SMPL's neutral T-pose [m]."""
 
 
 def _load_stmc(location: Path, clip_folder: str | Path | None, rest_joints: Tensor | None, cache: Path) -> MotionPrior:
-    checkpoint = location / "logs" / "checkpoints" / "last.ckpt" if location.is_dir() else location
+    checkpoint = location / CHECKPOINT if location.is_dir() else location
     if not checkpoint.is_file():
-        raise InputError(f"prior: {location} holds neither {DESCRIPTION_NAME} nor logs/checkpoints/last.ckpt")
-    folder = location if location.is_dir() else _run_folder(checkpoint)
+        raise InputError(f"prior: {location} holds neither {DESCRIPTION_NAME} nor {CHECKPOINT}")
+    folder = location if location.is_dir() else run_folder(checkpoint)
     config = _read_json(folder / "config.json") if (folder / "config.json").is_file() else {}
     state = _read_checkpoint(checkpoint)
     architecture = _stmc_architecture(state, config, checkpoint)
@@ -259,12 +258,6 @@ def _load_stmc(location: Path, clip_folder: str | Path | None, rest_joints: Tens
         float(_entry(config, 20.0, "data", "motion_loader", "fps")),
         f"STMC checkpoint {checkpoint.name}",
     )
-
-
-def _run_folder(checkpoint: Path) -> Path:
-    """RUN_DIR of RUN_DIR/logs/checkpoints/x.ckpt; otherwise the file's own folder."""
-    inside_run = checkpoint.parent.name == "checkpoints" and checkpoint.parent.parent.name == "logs"
-    return checkpoint.parents[2] if inside_run else checkpoint.parent
 
 
 def _entry(config: dict[str, Any], default: Any, *keys: str) -> Any:

@@ -15,7 +15,7 @@ from hoi.reports import Stage
 def refined(
     scene: Scene,
     state: State,
-    half_width: float,
+    window: Window | None,
     distance: float,
     improve: Callable[[Meeting], Motion],
     stage: Stage,
@@ -27,14 +27,13 @@ def refined(
     (see `hoi.refine.fidelity.Fidelity`), or why nothing was done.
 
     Args:
-        half_width: Delta t [frames].
+        window: around the contact, see `contact_window`; None where there is nothing to refine.
         distance: d_contact [m].
         improve: makes a better motion of what meets in the window; may raise RefineStopped.
         needed_above: penetration up to which nothing is done [m]; None: whatever it is, something is.
     """
     motion, trajectory = state.motion, state.trajectory
     assert motion is not None and trajectory is not None
-    window = contact_window(state, half_width, scene.frames)
     if window is None:
         stage.notes.append("no contact: nothing to refine")
         return motion
@@ -79,16 +78,21 @@ class Nearest:
         return motion
 
 
-def contact_window(state: State, half_width: float, frames: int) -> Window | None:
-    """Around the contact that pushes the object; None where none was found.
+def contact_window(
+    state: State, half_width: float, frames: int, *, whole_body: bool = False, tapered: bool = True
+) -> Window | None:
+    """Around the contact that pushes the object; None where none was found. See `hoi.refine.window.Window`.
 
     Where none was looked for, around the frame in which the joint should meet the object: t*, or the one after it.
     """
     if state.contact is None:
-        target = state.target
-        return target and window_around(target.meeting_frame(frames), target.joint, half_width, frames)
-    push = state.contact.push
-    return push and window_around(push.frame, push.joint, half_width, frames, push)
+        meeting, push = state.target and (state.target.meeting_frame(frames), state.target.joint), None
+    else:
+        push = state.contact.push
+        meeting = push and (push.frame, push.joint)
+    if meeting is None:
+        return None
+    return window_around(*meeting, half_width, frames, push, whole_body=whole_body, tapered=tapered)
 
 
 def tell(stage: Stage, fidelity: Fidelity, when: str) -> None:

@@ -31,26 +31,44 @@ class Window:
     """The joints that strike together, from the body outwards (`hoi.body.skeleton.CHAINS`), `joint` among them."""
     push: Contact | None = None
     """The contact that gave the object its new velocity at t_c; None where none was looked for."""
+    whole_body: bool = False
+    """Whether theta of every joint may change, as in the paper, or of those that strike together alone."""
+    tapered: bool = True
+    """Whether frames farther from t_c follow less; the paper's do not."""
 
     @property
     def moving(self) -> tuple[int, ...]:
-        """The joints whose theta may change: those of the limb, none of them the pelvis, whose turn is omega."""
-        return tuple(joint for joint in self.limb if joint > 0)
+        """The joints whose theta may change, none of them the pelvis, whose turn is omega."""
+        return tuple(joint for joint in (range(JOINT_COUNT) if self.whole_body else self.limb) if joint > 0)
 
 
-def window_around(t_c: float, joint: int, half_width: float, frames: int, push: Contact | None = None) -> Window:
-    """The window of a contact of `joint` at `t_c` in a scene of `frames` frames.
+def window_around(
+    t_c: float,
+    joint: int,
+    half_width: float,
+    frames: int,
+    push: Contact | None = None,
+    *,
+    whole_body: bool = False,
+    tapered: bool = True,
+) -> Window:
+    """The window of a contact of `joint` at `t_c` in a scene of `frames` frames; see `Window`.
 
     Frames no farther than `half_width` from the whole frame nearest to t_c, and always the two around it.
     """
     within = {frame for frame in range(frames) if abs(frame - math.floor(t_c + 0.5)) <= half_width}
     around = {math.floor(t_c), min(math.ceil(t_c), frames - 1)}
     limb = next(chain for chain in CHAINS.values() if joint in chain)
-    return Window(t_c, tuple(sorted(within | around)), half_width, joint, limb, push)
+    return Window(t_c, tuple(sorted(within | around)), half_width, joint, limb, push, whole_body, tapered)
 
 
 def taper(window: Window) -> Array:
-    """How far each frame of the window may follow: 1 at t_c, falling smoothly to 0 past the window's edges, (F,)."""
+    """How far each frame of the window may follow: 1 at t_c, falling smoothly to 0 past the window's edges, (F,).
+
+    1 throughout where the window is not tapered.
+    """
+    if not window.tapered:
+        return np.ones(len(window.frames))
     width = max(window.half_width, 1.0) + REACH
     apart = np.abs(np.array(window.frames) - window.t_c)
     return np.cos(np.pi / 2 * np.minimum(apart / width, 1.0)) ** 2

@@ -16,7 +16,7 @@ from hoi.config import Config
 from hoi.config.validate import to_config, with_materials
 from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
-from hoi.plan import format_plan, make_plan
+from hoi.plan import check_complete, format_plan, make_plan
 from hoi.reports import no_bar
 from hoi.stages.render.none import NoVideo
 from hoi.terminal.interrupt import gone_when_left
@@ -33,14 +33,15 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
         the records; none of a plan alone.
 
     Raises:
-        InputError: bad input, before anything is written.
-        RunError: the run failed; what it had is in `run.failed.mcap`.
+        InputError: bad input; found by the plan, nothing is written.
+        RunError: the run failed. Where a stage did, for either reason, what it had is in `run.failed.mcap`.
     """
     config = to_config(composed)
     plan = make_plan(config)
     print(format_plan(plan), flush=True)
     if config.plan_only:
         return []
+    check_complete(plan)
     from hoi.runner.provenance import provenance
 
     with ExitStack() as held:
@@ -86,6 +87,7 @@ def run_one(config: Config, cloud: GaussianCloud | None, out: Path | None, progr
         size = float(np.ptp(cloud.means, axis=0).max())
         config = replace(config, object=replace(config.object, size=size, stable=False, shape=None, path=None))
     plan = make_plan(config)
+    check_complete(plan)
     structured = OmegaConf.structured(config)
     facts = provenance(structured, [])
     if cloud is not None:

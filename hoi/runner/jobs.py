@@ -31,8 +31,6 @@ from hoi.runner.scene import build_scene
 if TYPE_CHECKING:
     from hoi.render.encode import Video
 
-FAILURES = (RunError, MemoryError, torch.OutOfMemoryError)
-
 
 @dataclass(frozen=True)
 class Job:
@@ -55,8 +53,11 @@ def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject |
         thing: the object, in place of the one that the config names.
 
     Raises:
-        InputError: the config asks for what this machine has not.
-        RunError: a run failed; what it had is recorded at `run.failed.mcap` beside its path. The others are done.
+        InputError: the config asks for what this machine has not, or a file turned out to be unusable.
+        RunError: a run failed.
+
+    Whatever ends a run once its stages have begun, also an InputError or a fault of ours: what it had is recorded at
+    `run.failed.mcap` beside its path, and the others are done.
     """
     with torch_threads(jobs[0].config.threads):
         return _run(jobs, plan, bar, thing)
@@ -74,8 +75,8 @@ def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -
     try:
         walk.synthesise()
         walk.coordinate()
-    except FAILURES as error:
-        failure = run_error(error)
+    except Exception as error:
+        failure = ending(error)
     shared = (time.perf_counter() - started) / len(jobs)
 
     runs, failures = [], []
@@ -84,15 +85,17 @@ def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -
         runs.append(finished)
         if failed is not None:
             failures.append((job.config.seed, failed))
-    if len(jobs) > 1 and failures:
+    kinds = {type(failed) for _, failed in failures}
+    if len(jobs) > 1 and kinds and kinds <= {InputError, RunError}:
         what = "; ".join(f"seed {seed}: {failed}" for seed, failed in failures)
-        raise RunError(f"{len(failures)} of {len(jobs)} runs failed: {what}")
+        kind = InputError if kinds == {InputError} else RunError
+        raise kind(f"{len(failures)} of {len(jobs)} runs failed: {what}")
     for _, failed in failures:
         raise failed
     return runs
 
 
-def finish(walk: Walk, number: int, job: Job, failure: RunError | None, shared: float) -> tuple[Run, RunError | None]:
+def finish(walk: Walk, number: int, job: Job, failure: Exception | None, shared: float) -> tuple[Run, Exception | None]:
     """The rest of a run, unless what it shares with others has ended in `failure` already; and its record.
 
     Args:
@@ -116,13 +119,13 @@ def finish(walk: Walk, number: int, job: Job, failure: RunError | None, shared: 
             if walk.plan.keeps("render"):
                 with stages.stage("render", scene.frames) as stage:
                     video, footage = config.render.draw(so_far({}), walk.batch.device, stage)
-    except FAILURES as error:
-        failure, video, footage = run_error(error), None, None
+    except Exception as error:
+        failure, video, footage = ending(error), None, None
     state = walk.states[number]
     finished = so_far(
         {
             "status": "failed" if failure else "done",
-            "outcome": str(failure) if failure else outcome(config, walk.plan, state, stages.reports),
+            "outcome": told(failure) if failure else outcome(config, walk.plan, state, stages.reports),
             "variant": walk.plan.variant,
             "device": walk.batch.device,
             "seconds": repr(shared + time.perf_counter() - started),
@@ -154,9 +157,17 @@ def record(run: Run, path: Path, human_points: int, video: "Video | None", foota
     write(run, path, *points, plan_text=format_plan(run.plan), footage=footage)
 
 
-def run_error(error: Exception) -> RunError:
-    """What ended a run, as one line with a remedy."""
-    return error if isinstance(error, RunError) else RunError(f"out of memory: {error}; use smaller budgets")
+def ending(error: Exception) -> Exception:
+    """What ended a run; of a lack of memory the remedy."""
+    if isinstance(error, (MemoryError, torch.OutOfMemoryError)):
+        return RunError(f"out of memory: {error}; use smaller budgets")
+    return error
+
+
+def told(failure: Exception) -> str:
+    """Why a run failed, in one line; with its kind where that is a fault of ours."""
+    said = "; ".join(str(failure).splitlines())
+    return said if isinstance(failure, (InputError, RunError)) else f"{type(failure).__name__}: {said}"
 
 
 def outcome(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from hoi.data import Check, Omission, Step
+from hoi.data import Check, Missing, Omission, Step
 
 if TYPE_CHECKING:
     from hoi.config import Config, SceneConf
@@ -60,6 +60,7 @@ class Draft:
     omissions: list[Omission] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
     uses: list[str] = field(default_factory=list)
+    missing: list[Missing] = field(default_factory=list)
     without: list[str] = field(default_factory=list)
     """Labels of what is left out, each one of its option's `stands_for`."""
 
@@ -68,6 +69,9 @@ class Draft:
 
     def omit(self, what: str, because: str, saves: str) -> None:
         self.omissions.append(Omission(what, because, saves))
+
+    def lack(self, key: str, what: str, path: str, remedy: str, size: str = "") -> None:
+        self.missing.append(Missing(key, what, path, size, remedy))
 
     def check(self, name: str, value: str, detail: str) -> None:
         self.checks.append(Check(name, value, detail))
@@ -88,10 +92,10 @@ class Option:
         """State what its values must be; `require.of(self.key)` takes names of its own fields."""
 
     def plan(self, config: Config, draft: Draft) -> None:
-        """Its lines of the plan.
+        """Its lines of the plan, and what it needs and does not find (`draft.missing`).
 
         Raises:
-            InputError: files that are missing, values that physics forbids.
+            InputError: values that physics forbids.
         """
 
     def units(self) -> int:
@@ -172,6 +176,10 @@ class ContactModel(Option):
     def d_contact(self) -> float:
         """From where on skin and object touch [m]."""
         return D_CONTACT
+
+    def beside(self, mover: ObjectMover) -> ContactModel:
+        """What it is where the object is moved so."""
+        return self
 
     def search(
         self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from hoi.video_prior.files import check_video_prior
-
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
@@ -102,7 +100,6 @@ def load_video_prior(
         from hoi.video_prior.cogvideox import CogVideoX
         from hoi.video_prior.cogvideox_files import open_files
 
-        check_video_prior(prior, checkpoint)
         return CogVideoX(open_files(checkpoint), (height, width), clip_frames, offload, device)
     from hoi.video_prior.embedded import load_embedded
 

@@ -15,8 +15,8 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from hoi.errors import InputError
-from hoi.video_prior.cogvideox_encode import chunks_of
 from hoi.video_prior.files import COGVIDEOX, WITHOUT, cogvideox_folder
+from hoi.video_prior.memory import Memory, activations
 
 if TYPE_CHECKING:
     from diffusers.models.autoencoders.autoencoder_kl_cogvideox import AutoencoderKLCogVideoX
@@ -38,27 +38,6 @@ WANTED = {
     ),
 }  # fmt: skip
 """What the json files must say: class defaults are another model's (the 2B's)."""
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What one iteration takes on the device, estimated from sizes, not measured [bytes]."""
-
-    transformer: int
-    """Its weights, or with offload those of two blocks."""
-    encoder: int
-    """The VAE encoder's weights."""
-    text: int
-    """T5's weights, freed before the transformer comes."""
-    denoising: int
-    """Activations of the transformer, for prompt and negative prompt, without gradients."""
-    encoding: int
-    """Activations of the VAE encoder with gradients: what checkpointing keeps, and one block recomputed."""
-
-    @property
-    def peak(self) -> int:
-        held = self.transformer + self.encoder
-        return max(self.text + self.encoder, held + self.denoising, held + self.encoding)
 
 
 @dataclass(frozen=True)
@@ -173,24 +152,13 @@ def noise_schedule(scheduler: dict[str, Any]) -> Tensor:
 def estimate_memory(configs: Configs, frames: int, size: tuple[int, int], dtype: torch.dtype, offload: bool) -> Memory:
     """From the sizes in the json files alone, before anything is loaded; an estimate of its order, not measured."""
     sizes, vae = configs["transformer"], configs["vae"]
-    width_of = dtype.itemsize
-    height, width = size
-    transformer = empty_transformer(sizes)
+    transformer, itemsize = empty_transformer(sizes), dtype.itemsize
     blocks = parameters(transformer) if not offload else 2 * parameters(transformer.transformer_blocks[0])
-    spatial = 2 ** (len(vae["block_out_channels"]) - 1) * int(sizes["patch_size"])
-    latents = (frames - 1) // int(sizes["temporal_compression_ratio"]) + 1
-    tokens = latents * (height // spatial) * (width // spatial) + int(sizes["max_text_seq_length"])
-    inner = int(sizes["num_attention_heads"]) * int(sizes["attention_head_dim"])
-    # Stream, norm, q, k, v, output and the feed-forward's 4: some 12 times the stream, twice for both prompts.
-    denoising = 2 * tokens * inner * 12 * width_of
-    chunk = chunks_of(frames)[0]
-    pixels = (chunk.stop - chunk.start) * height * width // (4 if offload else 1)
-    # A residual block holds about 8 activations for its gradient; only those of one level are there at a time.
-    encoding = vae["block_out_channels"][0] * pixels * (8 * int(vae["layers_per_block"]) + 2) * width_of
+    denoising, encoding = activations(sizes, vae, frames, size, itemsize, offload)
     return Memory(
-        transformer=blocks * width_of,
-        encoder=parameters(empty_vae(vae).encoder) * width_of,
-        text=_t5_parameters(configs["text_encoder"]) * width_of,
+        transformer=blocks * itemsize,
+        encoder=parameters(empty_vae(vae).encoder) * itemsize,
+        text=_t5_parameters(configs["text_encoder"]) * itemsize,
         denoising=denoising,
         encoding=encoding,
     )

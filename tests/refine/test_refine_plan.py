@@ -1,5 +1,7 @@
 """Stage 3 in the plan: its label, and weights that are missing."""
 
+import json
+
 import pytest
 
 from hoi.config.validate import to_config
@@ -84,33 +86,58 @@ def test_the_papers_stage_3(composed):
 )
 def test_missing_weights_are_named(plan, monkeypatch, overrides, words):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    with pytest.raises(InputError) as caught:
-        plan(*overrides)
-    line = str(caught.value)
+    (missing,) = plan(*overrides).missing
+    line = str(missing)
     assert "\n" not in line and all(word in line for word in words), line
 
 
 def test_the_folder_of_a_training_is_an_embedded_prior(plan, tmp_path):
-    with pytest.raises(InputError, match=r"no embedded video prior at .*/video_prior\.safetensors"):
-        plan(f"stage.refine.checkpoint={tmp_path}")
+    (missing,) = plan(f"stage.refine.checkpoint={tmp_path}").missing
+    assert (missing.what, missing.path) == ("embedded video prior", f"{tmp_path}/video_prior.safetensors")
     (tmp_path / VIDEO_PRIOR_NAME).touch()
     for given in (tmp_path, tmp_path / VIDEO_PRIOR_NAME):
-        assert plan(f"stage.refine.checkpoint={given}").keeps("refine")
+        made = plan(f"stage.refine.checkpoint={given}")
+        assert made.keeps("refine") and not made.missing
 
 
 def test_half_a_cogvideox_is_none(plan, tmp_path, monkeypatch):
-    for part in COGVIDEOX_PARTS[:-2]:
-        (tmp_path / part).mkdir()
+    """Empty folders are not enough, nor one shard of two; packages count too, and all is said at once."""
     overrides = ("stage/refine=cogvideox", f"stage.refine.checkpoint={tmp_path}")
-    with pytest.raises(InputError, match="lacks tokenizer, scheduler"):
-        plan(*overrides)
-    for part in COGVIDEOX_PARTS[-2:]:
+    for part, *_ in COGVIDEOX_PARTS:
         (tmp_path / part).mkdir()
+    (missing,) = plan(*overrides).missing
+    for part, config, weights in COGVIDEOX_PARTS:
+        assert f"{part}/{config}" in missing.what and (not weights or f"{part}/{weights}" in missing.what)
+        (tmp_path / part / config).write_text("{}")
+        if weights:
+            (tmp_path / part / weights).touch()
+    (missing,) = plan(*overrides).missing
+    assert missing.what == "whole CogVideoX-5B (tokenizer/spiece.model)" and "21 GB" in missing.size
+    (tmp_path / "tokenizer").mkdir()
+    (tmp_path / "tokenizer" / "spiece.model").touch()
+    assert not plan(*overrides).missing
+    shards = {"weight_map": {"a": "one.safetensors", "b": "two.safetensors"}}
+    (tmp_path / "transformer" / "diffusion_pytorch_model.safetensors.index.json").write_text(json.dumps(shards))
+    (tmp_path / "transformer" / "one.safetensors").touch()
+    assert plan(*overrides).missing[0].what == "whole CogVideoX-5B (transformer/two.safetensors)"
     monkeypatch.setattr("hoi.video_prior.files.find_spec", lambda name: None)
-    with pytest.raises(
-        InputError, match=r"^stage\.refine\.prior=cogvideox needs diffusers: pip install 'hoi\[video\]'"
-    ):
-        plan(*overrides)
+    assert [each.what for each in plan(*overrides).missing] == [
+        "package diffusers",
+        "package sentencepiece",
+        "whole CogVideoX-5B (transformer/two.safetensors)",
+    ]
+
+
+def test_the_plan_guesses_the_memory_that_the_loader_estimates(plan, monkeypatch):
+    """32 GB for the published sizes, as `estimate_memory` has it of the json files; less in smaller pictures."""
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+
+    def guessed(*overrides: str) -> float:
+        (check,) = (c for c in plan("stage/refine=cogvideox", *overrides).checks if c.name == "gpu_memory")
+        return float(check.value.removesuffix(" GB"))
+
+    assert guessed("stage.refine.clip_frames=9") == pytest.approx(32, abs=1)
+    assert guessed("stage.refine.width=240", "stage.refine.height=160") < guessed()
 
 
 @pytest.mark.parametrize(

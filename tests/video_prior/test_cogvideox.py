@@ -259,7 +259,9 @@ def test_missing_weights_say_what_to_do(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_missing_packages_are_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(weights, "find_spec", lambda name: None if name == "sentencepiece" else name)
-    with pytest.raises(InputError, match=r"needs sentencepiece: pip install 'hoi\[video\]'.*geometric"):
+    with pytest.raises(
+        InputError, match=r"no package sentencepiece at this Python; pip install 'hoi\[video\]'.*geometric"
+    ):
         load(folder)
 
 

@@ -50,8 +50,6 @@ class Windowed(Attraction):
     def plan(self, config: Config, draft: Draft) -> None:
         if self.lambda_attr > 0:
             draft.uses.append("attraction")
-            if "motion" in draft.uses and config.scene.approach != "none":
-                draft.uses.append("approach")
         else:
             draft.without.append("no_attraction")
             draft.omit("attraction", "stage.attraction.lambda_attr is 0", "the attraction loss")

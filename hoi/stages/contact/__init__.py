@@ -51,6 +51,8 @@ class Detection(ContactModel):
     """d_contact [m]."""
     between_frames: bool = MISSING
     """Look between frames too, so that a fast strike cannot pass through unseen."""
+    widened: bool = MISSING
+    """Whether the boxes of limb and object are wider by d_contact, so that what touches without overlapping counts."""
     velocity: Velocity = MISSING
     """V_human: of the touched point at t_c, or of the joint over the frame before it."""
     limb: Limb = MISSING
@@ -60,6 +62,8 @@ class Detection(ContactModel):
     """Share of a blow that a limb takes in one piece, its other joints locked; the rest finds all joints free [-]."""
     recovery: float = MISSING
     """How long the person takes to make good 95% of a small push [s]."""
+    flesh: float = MISSING
+    """What a limb leaves of the material's restitution, where it is not one that nothing stops [-]."""
     normal: Normal = MISSING
     """n, along which the object is pushed: into the touched surface, or from there to the centre of mass."""
 
@@ -71,6 +75,7 @@ class Detection(ContactModel):
         own = require.of(self.key)
         own(0 < self.tau <= 1, "tau", self.tau, "in (0, 1]")
         own(self.distance > 0, "distance", self.distance, "greater than 0 [m]")
+        own(0 <= self.flesh <= 1, "flesh", self.flesh, "in [0, 1]")
         own(0 <= self.one_piece <= 1, "one_piece", self.one_piece, "in [0, 1]")
         own(0 < self.recovery < math.inf, "recovery", self.recovery, "greater than 0 [s]")
 
@@ -97,6 +102,7 @@ class Detection(ContactModel):
             tau=self.tau,
             distance=self.distance,
             between_frames=self.between_frames,
+            widened=self.widened,
             over_a_frame=self.velocity is Velocity.frame,
             to_com=self.normal is Normal.centre_of_mass,
             together=together,

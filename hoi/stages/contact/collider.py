@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
 from hoi.errors import RunError
 from hoi.stages.contact import Detection
-from hoi.stages.contract import Requirements, option
+from hoi.stages.contact.impulse import Impulse
+from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config
@@ -34,11 +35,23 @@ class Collider(Detection):
 
     def check(self, config: Config, require: Requirements) -> None:
         super().check(config, require)
-        own, mover = require.of(self.key), config.stage.object
+        own = require.of(self.key)
         own(self.friction >= 0, "friction", self.friction, "0 or more")
         own(self.samples >= 1, "samples", self.samples, "1 or more")
-        rule = f"impulse where stage/object is {mover.name}: a limb can only push what the MPM moves"
-        require(mover.yields, self.group, self.name, rule)
+
+    def beside(self, mover: ObjectMover) -> Detection:
+        """The paper's impulse, all else alike, where nothing is simulated that a limb could press (w/o MPM)."""
+        if mover.yields:
+            return self
+        return Impulse(**{each.name: getattr(self, each.name) for each in fields(Detection)})
+
+    def plan(self, config: Config, draft: Draft) -> None:
+        mover = config.stage.object
+        if mover.yields:
+            return super().plan(config, draft)
+        self.beside(mover).plan(config, draft)
+        because = f"stage/object={mover.name} has no matter that a limb could press: it gives one impulse"
+        draft.omit("the limb as a moving obstacle", because, "its capsules")
 
     def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
         from hoi.body.limb_collider import limb_collider

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from omegaconf import MISSING
-
 from hoi.stages.contact import Detection
-from hoi.stages.contract import Requirements, option
+from hoi.stages.contract import option
 
 if TYPE_CHECKING:
-    from hoi.config import Config
     from hoi.data import ObjectState, Scene, State
     from hoi.method.object_motion import Mover
     from hoi.reports import Stage
@@ -24,13 +21,6 @@ class Impulse(Detection):
     """Contact detection, and the paper's impulse."""
 
     since = "from t_c to T"
-
-    flesh: float = MISSING
-    """What a limb leaves of the material's restitution, where it is not one that nothing stops [-]."""
-
-    def check(self, config: Config, require: Requirements) -> None:
-        super().check(config, require)
-        require.of(self.key)(0 <= self.flesh <= 1, "flesh", self.flesh, "in [0, 1]")
 
     def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
         from hoi.method.resimulation import resimulate

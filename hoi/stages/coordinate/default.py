@@ -38,6 +38,14 @@ class Coordinate(Option):
         own(self.lambda_hmsd >= 0, "lambda_hmsd", self.lambda_hmsd, "0 or more")
 
     def plan(self, config: Config, draft: Draft) -> None:
+        approach = config.scene.approach
+        if approach != "none":
+            draft.uses.append("approach")
+            draft.run("approach", approach.value, "the person placed and turned such that the strike meets the object")
+        else:
+            draft.omit("approach", "scene.approach is none: the person starts at the origin facing +Y", "placement")
+        if (tempo := config.scene.tempo) != 1:
+            draft.check("tempo", f"{tempo:g}", "times as fast as the prior's is the strike, by a time warp around t*")
         terms = []
         if "hmsd" in draft.uses:
             terms.append(f"{self.lambda_hmsd:g} L_HMSD")
@@ -48,7 +56,4 @@ class Coordinate(Option):
         if not terms or not self.iterations:
             draft.omit("coordinate", "there is nothing to optimise", "stage 2")
             return
-        detail = f"{self.iterations} iterations, {' + '.join(terms)}"
-        if "approach" in draft.uses:
-            detail += f", the person placed and turned to the object ({config.scene.approach.value})"
-        draft.run("coordinate", "adam", detail)
+        draft.run("coordinate", "adam", f"{self.iterations} iterations, {' + '.join(terms)}")

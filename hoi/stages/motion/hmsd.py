@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, ClassVar
 from omegaconf import MISSING
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
-from hoi.errors import InputError, under
+from hoi.errors import under
+from hoi.motion.files import missing_prior
 from hoi.stages.contract import Draft, MotionSource, Requirements, option
 
 if TYPE_CHECKING:
@@ -30,6 +31,11 @@ class MotionInit(StrEnum):
 class Sampler(StrEnum):
     ancestral = "ancestral"
     ddim = "ddim"
+
+
+class Reduction(StrEnum):
+    mean = "mean"
+    sum = "sum"
 
 
 class UpAxis(StrEnum):
@@ -82,6 +88,8 @@ class HMSD(MotionSource):
     """Classifier-free guidance scale of the distillation [-]."""
     guidance_rescale: float = MISSING
     """Share of the guided prediction's overshoot that is taken back [-]."""
+    reduction: Reduction = MISSING
+    """L_HMSD is the mean over frames and features, or the sum, whose gradient is the one that the paper prints."""
     t_min: int = MISSING
     """Diffusion timesteps are drawn from here ..."""
     t_max: int = MISSING
@@ -106,15 +114,12 @@ class HMSD(MotionSource):
 
     def plan(self, config: Config, draft: Draft) -> None:
         if self.path is not None and not Path(self.path).is_file():
-            raise InputError(f"{self.key}.path: no such file: {self.path}")
-        if self.checkpoint is not None and not Path(self.checkpoint).exists():
-            raise InputError(
-                f"{self.key}.checkpoint: no such file or folder: {self.checkpoint}; "
-                f"{self.key}.checkpoint=null runs with the prior of the package"
-            )
+            draft.lack(f"{self.key}.path", "motion file", self.path, "give a .npz or .bvh")
         coordinate = config.stage.coordinate
         in_stage_2 = coordinate.lambda_hmsd > 0 and coordinate.iterations > 0
         used = self.init is MotionInit.sample or self.iterations > 0 or in_stage_2
+        if used:
+            draft.missing += missing_prior(f"{self.key}.checkpoint", self.checkpoint, config.mdm)
         draft.uses += ["motion"] + ["motion_prior"] * used + ["hmsd"] * in_stage_2
         start = STARTS[self.init] if self.path is None else f"{STARTS[self.init]} {self.path}"
         if self.iterations > 0 or self.init is MotionInit.sample:
@@ -149,6 +154,7 @@ class HMSD(MotionSource):
             checkpoint=self.checkpoint,
             guidance=self.guidance,
             rescale=self.guidance_rescale,
+            summed=self.reduction is Reduction.sum,
             t_min=self.t_min,
             t_max=self.t_max,
             stand=stand,

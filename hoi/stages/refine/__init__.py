@@ -12,12 +12,19 @@ from hoi.stages.contract import Draft, Refinement, Requirements
 
 if TYPE_CHECKING:
     from hoi.config import Config
+    from hoi.data import State
     from hoi.refine.geometric import Weights
+    from hoi.refine.window import Window
 
 
 class RefineWhen(StrEnum):
     needed = "needed"
     always = "always"
+
+
+class Joints(StrEnum):
+    limb = "limb"
+    all = "all"
 
 
 @dataclass
@@ -30,6 +37,10 @@ class WindowedRefinement(Refinement):
     """Deepest penetration in the window that needs no refinement [m]."""
     half_width: float = MISSING
     """Delta t: the window is t_c plus and minus this [frames]."""
+    joints: Joints = MISSING
+    """Theta of which joints: of the limb that strikes, from hip or shoulder on, or of all."""
+    taper: bool = MISSING
+    """Whether frames farther from t_c follow less."""
     iterations: int = MISSING
     """Of the optimiser; at most so many where `when` is needed."""
     lambda_penetration: float = MISSING
@@ -49,6 +60,13 @@ class WindowedRefinement(Refinement):
         for name in ("lambda_penetration", "lambda_touch", "lambda_pose", "lambda_smooth"):
             own(getattr(self, name) >= 0, name, getattr(self, name), "0 or more")
 
+    def window(self, state: State, frames: int) -> Window | None:
+        """Around the contact of a scene of so many frames; None where there is none."""
+        from hoi.refine.stage import contact_window
+
+        whole_body = self.joints is Joints.all
+        return contact_window(state, self.half_width, frames, whole_body=whole_body, tapered=self.taper)
+
     @property
     def needed_above(self) -> float | None:
         """Penetration that needs refinement [m]; None: whatever it is."""
@@ -66,8 +84,9 @@ class WindowedRefinement(Refinement):
     def plan(self, config: Config, draft: Draft) -> None:
         needed = f" where a limb is more than {self.tolerance:g} m deep in the object"
         around = "t_c" if any(step.name == "contact" for step in draft.steps) else "t*"
+        whose = " of all joints" if self.joints is Joints.all else ""
         detail = (
-            f"{self.iterations} iterations on theta within {self.half_width:g} frames of "
+            f"{self.iterations} iterations on theta{whose} within {self.half_width:g} frames of "
             f"{around}{needed if self.when is RefineWhen.needed else ''}"
         )
         draft.run("refine", self.name, f"{detail}{self.described()}")

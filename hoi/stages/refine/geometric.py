@@ -40,4 +40,4 @@ class Geometric(WindowedRefinement):
             return pose.motion()
 
         distance = config.stage.contact.d_contact
-        return refined(scene, state, self.half_width, distance, improve, stage, self.needed_above)
+        return refined(scene, state, self.window(state, scene.frames), distance, improve, stage, self.needed_above)

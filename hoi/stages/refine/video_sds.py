@@ -13,7 +13,8 @@ from omegaconf import MISSING
 from hoi.errors import under
 from hoi.stages.contract import LARGEST_PICTURE, SMALLEST_PICTURE, Draft, Requirements, option
 from hoi.stages.refine import WindowedRefinement
-from hoi.video_prior.files import EMBEDDED_PICTURE, check_video_prior
+from hoi.video_prior.files import EMBEDDED_PICTURE, cogvideox_at, missing_video_prior
+from hoi.video_prior.memory import guess
 
 if TYPE_CHECKING:
     from hoi.config import Config
@@ -98,9 +99,12 @@ class VideoSDS(WindowedRefinement):
         own(self.lambda_geometry >= 0, "lambda_geometry", self.lambda_geometry, "0 or more")
 
     def plan(self, config: Config, draft: Draft) -> None:
-        with under(self.key):
-            check_video_prior(self.prior, self.checkpoint)
         super().plan(config, draft)
+        draft.missing += missing_video_prior(f"{self.key}.checkpoint", self.prior, self.checkpoint)
+        if self.prior is VideoPriorKind.cogvideox and self.checkpoint is not None:
+            size = self.height, self.width
+            memory = guess(cogvideox_at(self.checkpoint), self.clip_frames, size, self.offload)
+            draft.check("gpu_memory", f"{memory.peak / 1e9:.0f} GB", "for stage 3 in bfloat16, a guess from its sizes")
 
     def described(self) -> str:
         said = f", CFG {self.guidance:g}, {self.prior.value} {self.checkpoint or 'in the package'}"
@@ -130,7 +134,7 @@ class VideoSDS(WindowedRefinement):
                 improved = self.distilled(prior, scene, state, meeting.window, config.seed, device, stage, nearest)
             return improved if nearest is None else nearest.kept(stage)
 
-        return refined(scene, state, self.half_width, distance, improve, stage, self.needed_above)
+        return refined(scene, state, self.window(state, scene.frames), distance, improve, stage, self.needed_above)
 
     def distilled(
         self,

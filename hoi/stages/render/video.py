@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import MISSING
@@ -88,6 +89,9 @@ class Video(Renderer):
 
     def plan(self, config: Config, draft: Draft) -> None:
         size = f"{self.width}x{self.height}"
+        if self.backend is RenderBackend.gsplat and find_spec("gsplat") is None:
+            remedy = f"pip install gsplat, or {self.key}.backend=taichi"
+            draft.lack(f"{self.key}.backend", "package gsplat", "this Python", remedy)
         detail = f"{config.scene.frames} pictures of {size}, view {self.view.value}, to run.mp4 and the record"
         draft.run("render", self.backend.value, detail)
 
