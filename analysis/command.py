@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 from hoi.errors import InputError, RunError
+from hoi.terminal.pipe import until_unread
 
 Given = ParamSpec("Given")
 
@@ -31,7 +32,8 @@ def exit_code(module: str) -> Callable[[Callable[Given, int | None]], Callable[G
         @functools.wraps(main)
         def ended(*args: Given.args, **kwargs: Given.kwargs) -> int:
             try:
-                return main(*args, **kwargs) or 0
+                with until_unread():
+                    return main(*args, **kwargs) or 0
             except (InputError, RunError, OSError) as error:
                 print(f"{module}: {error}", file=sys.stderr)
                 return 3 if isinstance(error, RunError) else 2

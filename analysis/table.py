@@ -1,6 +1,6 @@
 """The tables of a folder of runs, from their records alone: `python -m analysis.table runs [-o DIR] [--by scene]`.
 
-Writes, by default into DIR = runs/table:
+Prints the tables and writes, by default into DIR = runs/table:
 
     runs.csv     one row a record, every number: the source of the rest
     table.csv    one row a variant: of each number mean, spread (standard deviation over the variant's runs, scenes and
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from hoi.errors import InputError
+from hoi.terminal.pipe import until_unread
 
 from .learned.sidecar import SCORES, read_scores, sidecar_path
 
@@ -174,17 +175,17 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes that read records")
     options = parser.parse_args(arguments)
     from .study.opinions import read_opinions
-    from .writers import write_tables
+    from .writers import as_text, shown, write_tables
 
     try:
         runs = collect(options.folder, options.jobs)
         opinions = None if options.mos is None else read_opinions(options.mos)
-        files = write_tables(
-            options.out or options.folder / "table", runs, summarise(runs, options.by), options.by, opinions
-        )
+        summary = summarise(runs, options.by)
+        files = write_tables(options.out or options.folder / "table", runs, summary, options.by, opinions)
     except (InputError, OSError) as error:
         print(f"analysis.table: {error}", file=sys.stderr)
         return 2
+    say(as_text(shown(summary, options.by, opinions)))
     wrong = runs.loc[runs["status"] == UNREADABLE, "reason"].tolist() + runs["warning"].dropna().tolist()
     for line in wrong:
         print(f"analysis.table: {line}", file=sys.stderr)
@@ -195,4 +196,5 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with until_unread():
+        sys.exit(main())

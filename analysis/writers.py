@@ -162,6 +162,24 @@ def _markdown(tables: list[Shown], problems: list[str]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def as_text(tables: list[Shown]) -> str:
+    """The tables for a terminal: a number a line and a variant a column, or the other way round where that is shorter.
+
+    What no run defines is left out.
+    """
+    return "\n\n".join(f"{table.title}\n{_columns(table)}" for table in tables if table.rows)
+
+
+def _columns(table: Shown) -> str:
+    rows = [table.head, *table.rows]
+    known = [number for number in range(len(table.head)) if any(row[number] for row in table.rows)]
+    rows = [[row[number] for number in known] for row in rows]
+    if len(rows) <= len(known):
+        rows = [list(column) for column in zip(*rows, strict=True)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
 def markdown_table(head: Sequence[str], *rows: Sequence[str]) -> str:
     """Lines of cells that are escaped already."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))

@@ -418,7 +418,7 @@ class Missing:
     """Of the config, which asks for it."""
     what: str
     path: str
-    """Where it was looked for."""
+    """Where it was looked for; empty of a package or device."""
     size: str
     """Of the download; empty where it is none."""
     remedy: str
@@ -429,7 +429,8 @@ class Missing:
     def __str__(self) -> str:
         size = f" ({self.size})" if self.size else ""
         wanted = "" if self.needed else ", not necessary"
-        return f"{self.key}: no {self.what}{size} at {self.path}{wanted}; {self.remedy}"
+        where = f" at {self.path}" if self.path else ""
+        return f"{self.key}: no {self.what}{size}{where}{wanted}; {self.remedy}"
 
 
 @dataclass(frozen=True)

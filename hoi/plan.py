@@ -112,7 +112,7 @@ def _missing(config: Config) -> list[Missing]:
             get = "object=soccer_ball and others are in the package"
             found.append(Missing("object.path", "3DGS file", config.object.path, "", get))
     if config.device is Device.cuda and not gpus():
-        found.append(Missing("device", "CUDA device", "this machine", "", "device=auto or device=cpu run without one"))
+        found.append(Missing("device", "CUDA device", "", "", "device=auto or device=cpu run without one"))
     return found
 
 
@@ -134,17 +134,12 @@ def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check
     return checks
 
 
-def _lacking(missing: Missing) -> str:
-    size = f" ({missing.size})" if missing.size else ""
-    return f"{missing.what}{size} at {missing.path}; {missing.remedy}"
-
-
 def format_plan(plan: Plan) -> str:
     """The plan as one table."""
     rows = [("RUN", step.name, step.implementation, step.reason) for step in plan.steps]
     rows += [("OMIT", o.what, "", f"{o.because}; saves {o.saves}") for o in plan.omissions]
     rows += [("CHECK", check.name, check.value, check.detail) for check in plan.checks]
-    rows += [("LACK", m.key, "needed" if m.needed else "optional", _lacking(m)) for m in plan.missing]
+    rows += [("LACK", m.key, "needed" if m.needed else "optional", str(m).partition(": no ")[2]) for m in plan.missing]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row[:3], widths, strict=True)) + f"  {row[3]}"

@@ -27,7 +27,7 @@ def replayed(config: Config, scene: Scene, whole: Motion, stages: Stages) -> Sta
     target = Target(peak.joint, config.scene.contact_frame, "velocity profile")
     with stages.stage("coordinate", 1) as stage:
         if config.scene.approach is not Approach.none:
-            motion, target = approach(scene, motion, free, target)
+            motion, target = approach(scene, motion, free, target, config.scene.meeting_height)
         stage.numbers["reach_gap"] = reach_gap(scene, motion, free, target)
     with stages.stage("contact", 1):
         search = config.stage.contact.search(scene, motion, free)

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from hoi.body.parts import is_with, part_at
 from hoi.body.skeleton import LIMBS
 from hoi.data import Array, Contact
 from hoi.frames import at_frame
@@ -42,11 +43,19 @@ def touched(record: Record) -> float:
 def expected_limb(record: Record) -> float:
     """1 when the limb that struck is the one that the scene expects, 0 when another did or nothing struck. What struck
     is the contact that pushed the object; where none was looked for (w/o Contact, other systems), the first touch."""
-    expected = LIMBS.get(str(record.conf("scene", "expected_limb", default="")))
-    if expected is None or (record.run.state.contact is None and meeting(record) is None):
+    expected, search = str(record.conf("scene", "expected_limb", default="")), record.run.state.contact
+    met = meeting(record) if search is None else None
+    if expected not in LIMBS or (search is None and met is None):
         return NAN
     joint = striking_joint(record)
-    return NAN if joint == -1 else float(joint in expected)
+    if joint is None or joint == -1:
+        return 0.0 if joint is None else NAN
+    if search is not None and search.push is not None:
+        return float(is_with(expected, joint, search.push.part))
+    assert met is not None and met.first is not None
+    joints, frame = record.joints, met.frames[met.first]
+    part = "" if joints is None else part_at(joint, met.skin[met.first], at_frame(joints, frame))
+    return float(is_with(expected, joint, part))
 
 
 def contact_gap(record: Record) -> float:

@@ -45,6 +45,8 @@ class Meeting:
     """Whether skin is no farther than d_contact, (F,)."""
     by_joint: NDArray[np.bool_]
     """Which joints' skin is, (F, 24); False where unknown."""
+    skin: Array
+    """Where that nearest or deepest skin is [m], (F, 3)."""
 
     @property
     def first(self) -> int | None:
@@ -81,6 +83,7 @@ def meeting(record: Record) -> Meeting | None:
 
     count = len(frames)
     gap, depth, joint = np.full(count, math.inf), np.zeros(count), np.full(count, -1)
+    nearest = np.full((count, 3), math.nan)
     by_joint, touching = np.zeros((count, JOINT_COUNT), bool), np.zeros(count, bool)
     shape = Shape(scene.thing)
     for index, frame in enumerate(frames):
@@ -92,11 +95,12 @@ def meeting(record: Record) -> Meeting | None:
         signed = shape.distance(particles, points[rows])
         deepest = int(signed.argmin())
         gap[index], depth[index] = max(0.0, signed[deepest]), max(0.0, -signed[deepest])
+        nearest[index] = points[rows[deepest]]
         touching[index] = signed[deepest] <= distance
         if joints is not None:
             joint[index] = joints[rows[deepest]]
             by_joint[index, joints[rows[signed <= distance]]] = True
-    return Meeting(frames, gap, depth, joint, touching, by_joint)
+    return Meeting(frames, gap, depth, joint, touching, by_joint, nearest)
 
 
 class Shape:

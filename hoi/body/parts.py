@@ -4,7 +4,7 @@ The skin goes with the joint that turns it: what is above the kneecap with the h
 knee.
 """
 
-from hoi.body.skeleton import JOINT_NAMES
+from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.data import Array, Contact, ContactSearch
 
 NEAR, FAR = 0.2, 0.7
@@ -45,6 +45,21 @@ def part_at(joint: int, point: Array, joints: Array) -> str:
     else:
         name = _WHOLE.get(name, name)
     return f"{side}_{name}" if side else name
+
+
+_OWN = {"knee": ("knee",)}
+"""Of limbs whose joints move skin that people call something else: what they call the limb's own."""
+
+
+def is_with(limb: str, joint: int, part: str) -> bool:
+    """Whether what touched is of that limb (`hoi.body.skeleton.LIMBS`): a hip or a shin is no knee.
+
+    Args:
+        joint: whose skin it is. part: as people call it; empty where only the joint is known, which then has to do.
+    """
+    side, _, name = limb.rpartition("_")
+    own = _OWN.get(name)
+    return joint in LIMBS[limb] and (own is None or not part or part in {f"{side}_{each}" for each in own})
 
 
 def struck_with(contact: Contact) -> str:

@@ -65,6 +65,8 @@ class SceneConf:
     """The person is placed and turned such that the strike ends at the object, and steps in (step) or stays where they
     are (stand); none: they start at the origin facing +Y, wherever the object is. Who has no motion prior and so does
     not move yet faces the object, within reach of it."""
+    meeting_height: float | None = None
+    """At which the strike waits to meet an object that rises or falls [m]; null: at which it ends by itself."""
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is, by a time warp around t* [-]."""
     striking_limb: str | None = None

@@ -38,17 +38,23 @@ STRIKE = 0.15
 """Standard deviation of the time around t* in which a strike is faster or slower than the prior's [s]."""
 
 
-def approach(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> tuple[Motion, Target]:
+def approach(
+    scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target, height: float | None = None
+) -> tuple[Motion, Target]:
     """The motion, from where its strike ends at the object's surface, at a time when the object is at its height.
 
     Who begins with a limb farther out than the strike ends would begin inside the object: they stand as much farther
     back, and have that much farther to reach. A person who stands still (w/o MDM) faces the object, within reach of it.
 
+    Args:
+        height: at which an object that rises or falls is to be met [m]; None: where the strike ends by itself.
+
     Raises:
         InputError: the person would start inside the object `BACK` away from it.
     """
     meeting = target.meeting_frame(scene.frames)
-    height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
+    if height is None:
+        height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
     later = delay(height, trajectory.com[:, 2], meeting)
     motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
     if is_still(joint_paths(scene.body, motion)[:, list(target.striking)]):

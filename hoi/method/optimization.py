@@ -113,7 +113,7 @@ class Walk:
             motion = hastened(motion, target, self.config.scene.tempo)
         if "approach" in self.plan.uses:
             with under("scene"):
-                motion, target = approach(scene, motion, trajectory, target)
+                motion, target = approach(scene, motion, trajectory, target, self.config.scene.meeting_height)
         return replace(state, motion=motion, target=target)
 
     def _move(self, motions: Sequence[Motion]) -> None:

@@ -27,6 +27,7 @@ class Command:
 COMMANDS = {
     "Make": {
         "run": Command("hoi.run", "a scene, or a sweep of them: the record run.mcap and its video"),
+        "doctor": Command("hoi.runner.doctor", "what this machine can do, and what each experiment still lacks here"),
         "sample": Command("hoi.runner.sample", "a motion from a sentence: .npz, or a record to look at"),
     },
     "Look": {
@@ -40,6 +41,9 @@ COMMANDS = {
     },
     "Bring": {
         "convert": Command("hoi.importers.convert", "a person: SMPL body or HUGS checkpoint"),
+        "rest-joints": Command(
+            "hoi.importers.rest_joints", "the published motion prior's skeleton, of your SMPL-H file"
+        ),
         "import-scene": Command("hoi.importers.scene", "a scene file of PhysGaussian or DreamPhysics"),
         "ingest": Command("analysis.ingest", "another system's video or meshes, as a record"),
     },

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from hoi.body.parts import struck_together
+from hoi.body.parts import is_with, struck_together
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import posed_means
 from hoi.config import Config, Device
@@ -199,7 +199,7 @@ def struck(config: Config, plan: Plan, state: State) -> str:
         joint = search.smallest_gap_part or JOINT_NAMES[search.smallest_gap_joint]
         where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
         return f"no contact{separating}: smallest gap {where}"
-    expected = push.joint in LIMBS[config.scene.expected_limb]
+    expected = is_with(config.scene.expected_limb, push.joint, push.part)
     limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"

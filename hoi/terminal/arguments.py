@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from hoi.errors import InputError
+from hoi.terminal.pipe import until_unread
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,7 +20,8 @@ class Parser(argparse.ArgumentParser):
 def refusing(command: Callable[[], object]) -> int:
     """Does what a command does; its exit code: 0, or 2 after the line of an `InputError`."""
     try:
-        command()
+        with until_unread():
+            command()
     except InputError as error:
         print(f"hoi: {error}", file=sys.stderr)
         return 2

@@ -21,7 +21,7 @@ COGVIDEOX_PARTS = (
 """Folder, config and weights, which may lie in shards."""
 TOKENS = ("spiece.model", "tokenizer.json")
 """T5's, either of them."""
-COGVIDEOX_SIZE = "21 GB (transformer 11.1, T5 9.5, VAE 0.4)"
+COGVIDEOX_SIZE = "21 GB: transformer 11.1, T5 9.5, VAE 0.4"
 WITHOUT = "stage/refine=geometric runs without a video prior"
 
 
@@ -38,7 +38,7 @@ def missing_video_prior(key: str, prior: str, checkpoint: str | None) -> list[Mi
     found = []
     for package in ("diffusers", "sentencepiece"):
         if find_spec(package) is None:
-            found.append(Missing(key, f"package {package}", "this Python", "", f"pip install 'hoi[video]'; {WITHOUT}"))
+            found.append(Missing(key, f"package {package}", "", "", f"pip install 'hoi[video]'; {WITHOUT}"))
     assert checkpoint is not None, "a CogVideoX has a folder or hub name"
     folder = cogvideox_at(checkpoint)
     if folder is None:

@@ -106,7 +106,9 @@ def test_several_processes_give_the_same_rows(demo, tmp_path):
 def test_what_is_written(runs, capsys):
     said = []
     assert main([str(runs)], say=said.append) == 2
-    assert said == [f"5 records (3 done, 1 failed, 1 unreadable): {', '.join(FILES)} in {runs / 'table'}"]
+    text, said = said
+    assert "\nvariant" in text and "Contact" in text and "full" in text and "no_mpm" in text
+    assert said == f"5 records (3 done, 1 failed, 1 unreadable): {', '.join(FILES)} in {runs / 'table'}"
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 1 and "4/run.mcap" in errors[0] and "unfinished" in errors[0]
 

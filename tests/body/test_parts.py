@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hoi.body.parts import part_at, struck_with
+from hoi.body.parts import is_with, part_at, struck_with
 from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Contact
@@ -50,3 +50,24 @@ def test_old_records_fall_back_on_the_joint():
     zero = np.zeros(3)
     contact = Contact(1.0, JOINT_NAMES.index("right_hip"), 0.1, zero, zero, zero, zero, 1.0, zero, zero, 0.0)
     assert struck_with(contact) == "right_hip"
+
+
+@pytest.mark.parametrize(
+    ("limb", "joint", "part", "counts"),
+    [
+        ("right_knee", "right_hip", "right_knee", True),
+        ("right_knee", "right_knee", "right_knee", True),
+        ("right_knee", "right_hip", "right_hip", False),
+        ("right_knee", "right_hip", "right_thigh", False),
+        ("right_knee", "right_knee", "right_shin", False),
+        ("left_knee", "right_knee", "right_knee", False),
+        ("right_knee", "right_hip", "", True),  # a record from before parts had names
+        ("right_foot", "right_ankle", "right_foot", True),
+        ("right_foot", "right_knee", "right_shin", False),
+        ("hands", "left_wrist", "left_hand", True),
+        ("right_arm", "right_elbow", "right_forearm", True),
+        ("head", "neck", "neck", True),
+    ],
+)
+def test_a_hip_is_no_knee(limb, joint, part, counts):
+    assert is_with(limb, JOINT_NAMES.index(joint), part) is counts

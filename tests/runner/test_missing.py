@@ -36,13 +36,13 @@ def test_everything_that_the_papers_run_lacks_is_said_at_once(composed, tmp_path
     starts = [
         "human.path: no SMPL model file at SMPL_NEUTRAL.npz; ",
         "object.path: no 3DGS file at ball.ply; ",
-        "device: no CUDA device at this machine; ",
+        "device: no CUDA device; ",
         "stage.motion.checkpoint: no STMC's MDM-SMPL, the published motion prior (about 0.3 GB) at pretrained_models/",
         "stage.motion.checkpoint: no CLIP's text encoder (config.json, model.safetensors, vocab.json and merges.txt)",
         "stage.motion.checkpoint: no T-pose joints of the prior's skeleton (1 kB) at pretrained_models/",
-        "stage.refine.checkpoint: no package diffusers at this Python; pip install 'hoi[video]'",
-        "stage.refine.checkpoint: no package sentencepiece at this Python; ",
-        "stage.refine.checkpoint: no CogVideoX-5B (21 GB (transformer 11.1, T5 9.5, VAE 0.4)) at THUDM/CogVideoX-5b; ",
+        "stage.refine.checkpoint: no package diffusers; pip install 'hoi[video]'",
+        "stage.refine.checkpoint: no package sentencepiece; ",
+        "stage.refine.checkpoint: no CogVideoX-5B (21 GB: transformer 11.1, T5 9.5, VAE 0.4) at THUDM/CogVideoX-5b; ",
     ]
     assert len(lines) == len(starts)
     assert all(line.startswith(start) for line, start in zip(lines, starts, strict=True)), lines

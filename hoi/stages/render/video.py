@@ -91,7 +91,7 @@ class Video(Renderer):
         size = f"{self.width}x{self.height}"
         if self.backend is RenderBackend.gsplat and find_spec("gsplat") is None:
             remedy = f"pip install gsplat, or {self.key}.backend=taichi"
-            draft.lack(f"{self.key}.backend", "package gsplat", "this Python", remedy)
+            draft.lack(f"{self.key}.backend", "package gsplat", "", remedy)
         detail = f"{config.scene.frames} pictures of {size}, view {self.view.value}, to run.mp4 and the record"
         draft.run("render", self.backend.value, detail)
 
