@@ -4,12 +4,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import docs_ablations
 import docs_config
 import docs_record
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
-GENERATED = {"config.md": docs_config.page, "record.md": docs_record.page}
+GENERATED = {"ablations.md": docs_ablations.page, "config.md": docs_config.page, "record.md": docs_record.page}
 ROOT = Path(__file__).parents[1]
 OUTSIDE = re.compile(r"\]\(\.\./([^)#\s]+)")
 """A link of a page in docs/ to a file beside docs/."""
