@@ -113,7 +113,10 @@ def main() -> None:
     """Entry point of `hoi`. Exit codes are the command's own; 2 for a command that is not there."""
     first, *rest = sys.argv[1:] or ["--help"]
     if first in ("-h", "--help", "help"):
-        print(overview())
+        from hoi.terminal.pipe import until_unread
+
+        with until_unread():
+            print(overview())
     elif first in ("-V", "--version"):
         print(f"hoi {__version__}")
     elif first in COMPLETION:

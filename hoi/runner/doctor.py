@@ -21,6 +21,7 @@ from hoi.data import Plan
 from hoi.errors import InputError
 from hoi.gpu import GPU, gpus
 from hoi.plan import make_plan
+from hoi.terminal.pipe import until_unread
 
 DEFAULT = "laptop"
 PYTHON = (3, 11)
@@ -113,4 +114,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with until_unread():
+        sys.exit(main())

@@ -21,6 +21,7 @@ from hoi.errors import InputError, RunError
 from hoi.runner.execute import execute, what_next
 from hoi.runner.sweep import Ended, run_of_sweep
 from hoi.terminal.interrupt import interruptible
+from hoi.terminal.pipe import ENDED, until_unread
 
 
 def main() -> None:
@@ -28,7 +29,7 @@ def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - what starts this may be any
         sys.exit(f"hoi needs Python 3.11 or newer, this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
-    with interruptible():
+    with interruptible(), until_unread():
         sys.exit(_compose_and_execute())
 
 
@@ -52,6 +53,8 @@ def _compose_and_execute() -> int:
         except (InputError, RunError) as error:
             print(f"hoi: {error}", file=sys.stderr)
             code = 2 if isinstance(error, InputError) else 3
+        except BrokenPipeError:  # Hydra would tell of it; `until_unread` ends the program
+            code = ENDED
         return None
 
     try:

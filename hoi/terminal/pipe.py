@@ -14,8 +14,10 @@ ENDED = 128 + signal.SIGPIPE
 def until_unread() -> Iterator[None]:
     """What is printed in here is written out; where nobody reads any more, the program ends."""
     try:
-        yield
-        sys.stdout.flush()
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
         sys.exit(ENDED)
