@@ -1,9 +1,9 @@
 """What the person's answer to a contact costs: `python -m analysis.answer_bench [-- overrides]`.
 
-A scene with an impulse and one with a push, each twice in a process of its own; the second run counts, its kernels
-being compiled. Counted as the answer is all that the person as a body with mass does, and in a push the exchange with
-the grid, in which is also what a limb that nothing stops would cost: an upper bound. Then the same with a limb that
-nothing stops, and whether that loads MuJoCo. Exit codes: 0 done; 2 bad input; 3 a run failed.
+A scene with an impulse and one with a push, in a process of its own: once to compile, once with a limb that nothing
+stops, once with the answer. Counted as the answer is all that the person as a body with mass does, and what a step
+takes in which it pushes beyond one in which a limb that nothing stops does. All in CPU seconds, which a busy machine
+leaves alone. Then whether a limb that nothing stops loads MuJoCo. Exit codes: 0 done; 2 bad input; 3 a run failed.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
 from unittest import mock
 
 from hoi.errors import InputError
@@ -28,8 +30,8 @@ ANSWER = (
     "hoi.body.dynamics.Person.inverse_mass",
     "hoi.body.pushing.Pushing.advance",
     "hoi.body.pushing.Pushing.foreseen",
-    "hoi.mpm.coupling.Coupling.place",
-    "hoi.mpm.coupling.Coupling.exchange",
+    "hoi.mpm.coupling.Coupling.begin",
+    "hoi.mpm.coupling.Coupling.end",
 )
 """What is counted, the time in one called by another once."""
 
@@ -37,7 +39,7 @@ ANSWER = (
 class Spent:
     """Seconds in functions that may call each other."""
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(self, clock: Callable[[], float] = time.process_time) -> None:
         self.seconds, self._depth, self._clock = 0.0, 0, clock
 
     def counting(self, function: Callable) -> Callable:
@@ -72,16 +74,59 @@ def counted(places: Sequence[str] = ANSWER) -> Iterator[Spent]:
         yield spent
 
 
+@dataclass
+class Steps:
+    """Of the grid in which a limb pushes; what passes between them and the person aside."""
+
+    seconds: float = 0.0
+    count: int = 0
+
+    @property
+    def each(self) -> float:
+        """[s]"""
+        return self.seconds / max(self.count, 1)
+
+
+@contextmanager
+def pushing_steps() -> Iterator[Steps]:
+    """While it lasts, the steps with a limb near the object are counted."""
+    from hoi.mpm.coupling import Coupling
+    from hoi.mpm.solver import Simulation
+
+    steps, aside, launch = Steps(), Spent(), Simulation._launch
+
+    def timed(simulation: Simulation, *args: Any, **kwargs: Any) -> int:
+        collider, before = simulation.collider, aside.seconds
+        moving = collider is not None and collider.times[0] <= simulation.time < collider.times[-1]
+        began = time.process_time()
+        done = launch(simulation, *args, **kwargs)
+        if kwargs.get("coupled") or (moving and kwargs.get("near")):
+            steps.seconds += time.process_time() - began - (aside.seconds - before)
+            steps.count += done
+        return done
+
+    with ExitStack() as stack:
+        for name in ("begin", "end"):
+            function = aside.counting(getattr(Coupling, name))
+            stack.enter_context(mock.patch.object(Coupling, name, function))
+        stack.enter_context(mock.patch.object(Simulation, "_launch", timed))
+        yield steps
+
+
 def share(overrides: Sequence[str]) -> tuple[float, float]:
-    """Seconds of a run whose kernels are compiled, and of the person's answer in it."""
+    """CPU seconds of a run whose kernels are compiled, and of the person's answer in it."""
     from hoi import api
 
     config = api.compose("render=none", *overrides)
     api.run(config)
-    with counted() as spent:
-        began = time.perf_counter()
+    with pushing_steps() as unstopped:
+        api.run(api.compose("render=none", "stage.contact.limb=infinite", *overrides))
+    with pushing_steps() as coupled, counted() as spent:
+        began = time.process_time()
         api.run(config)
-        return time.perf_counter() - began, spent.seconds
+        seconds = time.process_time() - began
+    dearer = coupled.each - unstopped.each if unstopped.count else 0.0
+    return seconds, spent.seconds + coupled.count * max(dearer, 0.0)
 
 
 def loads_mujoco(overrides: Sequence[str]) -> bool:

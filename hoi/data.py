@@ -352,6 +352,17 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Push:
+    """What moving limbs gave the object while they stayed in touch."""
+
+    start: float
+    end: float
+    """[s]"""
+    impulse: Array
+    """[N s], shape (3,)."""
+
+
+@dataclass(frozen=True)
 class ContactSearch:
     """The outcome of looking for contact, also when none is found."""
 
@@ -362,15 +373,18 @@ class ContactSearch:
     smallest_gap_joint: int
     smallest_gap_part: str = ""
     """What people call the skin there, as `Contact.part`."""
+    pushes: tuple[Push, ...] = ()
+    """In the order of time, where limbs push for a while: that of `push`, and others."""
 
     @property
     def push(self) -> Contact | None:
         """The contact that gave an impulse; None when nothing did."""
         return next((contact for contact in self.contacts if contact.v_in > 0), None)
 
-    def with_push(self, contact: Contact) -> "ContactSearch":
+    def with_push(self, contact: Contact, pushes: tuple[Push, ...] = ()) -> "ContactSearch":
         """The same with that contact in the place of its `push`."""
-        return replace(self, contacts=tuple(contact if each is self.push else each for each in self.contacts))
+        contacts = tuple(contact if each is self.push else each for each in self.contacts)
+        return replace(self, contacts=contacts, pushes=pushes)
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,15 @@ def momentum_error(record: Record) -> float:
     return float(np.linalg.norm(push.impulse - taken)) / given
 
 
+def pushes_of(record: Record) -> list[tuple[float, float, Array]]:
+    """First and last frame of each push, fractional, and what it gave the object [N s], (3,)."""
+    search, scene, span = record.run.state.contact, record.run.scene, push_span(record)
+    if search is None or search.push is None or scene is None or span is None:
+        return []
+    several = [(push.start * scene.fps, push.end * scene.fps, push.impulse) for push in search.pushes]
+    return several or [(*span, search.push.impulse)]
+
+
 def push_span(record: Record) -> tuple[float, float] | None:
     """First and last frame of the push, fractional; equal for an impulse, None where nothing pushed. A limb that pushes
     for a while begins before t_c, when its capsules first touch."""

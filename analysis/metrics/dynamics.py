@@ -12,7 +12,7 @@ from hoi.data import Array
 from hoi.errors import RunError
 
 from ..records import Record, Undefined
-from .contact import push_of, push_span
+from .contact import push_of, pushes_of
 from .flight import NEAR
 from .inverse import acting, cone_of, from_ground, nearest, needed
 from .penetration import ground_of, height_above
@@ -39,8 +39,8 @@ def momentum_gap(record: Record) -> float:
 
 
 def momentum_gap_share(record: Record) -> float:
-    """The momentum from nowhere over that which the contact gave the object."""
-    given = float(np.linalg.norm(record.push.impulse))
+    """The momentum from nowhere over that which the pushes gave the object."""
+    given = float(np.linalg.norm(_given(record).sum(axis=0)))
     return 100 * momentum_gap(record) / given if given > 0 else math.nan
 
 
@@ -101,10 +101,11 @@ def _loads(record: Record) -> Loads:
     return Loads(left, turn - np.cross(pelvis, left), torques / (masses.mass.sum() * torque_limits(links)))
 
 
-def _push(record: Record) -> Array:
-    """Which share of the push, over a frame's time, reaches the frames 1 .. T - 2."""
-    frames, span = len(record.motion), push_span(record)
-    return np.zeros(frames - 2) if span is None else acting(*span, frames)
+def _given(record: Record) -> Array:
+    """What the pushes give the object at the frames 1 .. T - 2, over a frame's time [N s], (F, 3)."""
+    frames = len(record.motion)
+    each = [acting(first, last, frames)[:, None] * impulse for first, last, impulse in pushes_of(record)]
+    return np.sum([np.zeros((frames - 2, 3)), *each], axis=0)
 
 
 def _reaction(record: Record, joints: Array) -> tuple[Array, Array]:
@@ -117,7 +118,7 @@ def _reaction(record: Record, joints: Array) -> tuple[Array, Array]:
     pushing = target.striking if target is not None and push.joint in target.striking else (push.joint,)
     at = min(max(round(push.frame) - 1, 0), len(joints) - 1)
     for joint in pushing:
-        given = -push.impulse * (record.scene.fps / len(pushing)) * _push(record)[:, None]
+        given = -_given(record) * record.scene.fps / len(pushing)
         arm = push.point - joints[at, joint] if joint == push.joint else np.zeros(3)
         force[:, PART[joint]] += given
         moment[:, PART[joint]] += np.cross(joints[:, joint] + arm, given)
@@ -125,12 +126,12 @@ def _reaction(record: Record, joints: Array) -> tuple[Array, Array]:
 
 
 def _gap(record: Record) -> Array:
-    """Momentum from nowhere, of person and object together, over the push [N s], (3,)."""
-    push, scene, path = record.push, record.scene, record.trajectory.com.astype(np.float64)
-    shares = _push(record)
-    reached = np.flatnonzero(shares)
-    if not len(reached) or abs(shares.sum() - 1) > 1e-6:
-        raise Undefined  # the run begins or ends within it
+    """Momentum from nowhere, of person and object together, over the pushes [N s], (3,)."""
+    scene, path, given = record.scene, record.trajectory.com.astype(np.float64), _given(record)
+    shares = np.array([acting(first, last, len(record.motion)) for first, last, _ in pushes_of(record)])
+    reached = np.flatnonzero(shares.any(axis=0)) if len(shares) else []
+    if not len(reached) or (abs(shares.sum(axis=1) - 1) > 1e-6).any():
+        raise Undefined  # the run begins or ends within one
     gap = _loads(record).force[reached].sum(axis=0) / scene.fps
     mass = float(scene.thing.masses.sum())
     change = mass * (scene.fps * np.diff(path, n=2, axis=0) - scene.gravity / scene.fps)
@@ -138,6 +139,6 @@ def _gap(record: Record) -> Array:
         near = record.trajectory.positions[frame : frame + 3]
         held = [cone_of(p) for p in scene.planes if height_above(p, near).min() < NEAR * scene.thing.size]
         columns = np.concatenate([np.zeros((0, 3)), *held]).T
-        left = change[frame] - shares[frame] * push.impulse
+        left = change[frame] - given[frame]
         gap = gap + left - columns @ nearest(columns, left)
     return gap

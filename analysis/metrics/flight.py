@@ -7,7 +7,7 @@ import numpy as np
 from hoi.data import Array
 
 from ..records import Record, Undefined
-from .contact import first_touch, frames_around, push_of, push_span
+from .contact import first_touch, frames_around, push_of, pushes_of
 from .metric import NAN
 from .penetration import height_above
 
@@ -199,9 +199,9 @@ def _flights(record: Record) -> list[tuple[int, int]]:
         breaks |= set((np.flatnonzero(heights + np.minimum(way, 0) <= reach) + 1).tolist())  # it may bounce on the way
     _, met = first_touch(record)
     held = [] if met is None else [float(frame) for frame in met.frames[met.touching]]
-    if (span := push_span(record)) is not None:
-        free[int(np.ceil(span[0])) : int(np.ceil(span[1]))] = False
-        held += span
+    for first, last, _ in pushes_of(record):
+        free[int(np.ceil(first)) : int(np.ceil(last))] = False
+        held += [first, last]
     for frame in held:  # a touch between frames ends one flight and begins another
         if frame == int(frame) and int(frame) < len(free):
             free[int(frame)] = False

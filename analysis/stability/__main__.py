@@ -1,4 +1,4 @@
-"""A grid of extreme cases of the object's MPM, and whether it holds in each.
+"""A grid of extreme cases of the object's MPM and of the person who strikes it, and whether it holds in each.
 
     python -m analysis.stability [-o FOLDER] [--jobs N] [--quick] [--family NAME]
     python -m analysis.stability --case ID
@@ -18,6 +18,8 @@ from pathlib import Path
 from hoi.errors import InputError
 
 from .. import command
+from . import blows
+from .blows import BLOWS, Blow
 from .cases import CASES, Case, quick
 from .verdict import Verdict
 
@@ -26,13 +28,13 @@ from .verdict import Verdict
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.parser(
         "analysis.stability",
-        "Extreme cases of the object's MPM, and whether it holds in each: a table and a map.",
+        "Extreme cases of the object's MPM and of the person who strikes it, and whether it holds: a table and a map.",
         "--quick -o runs/stability",
     )
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/stability"), help="folder for the CSV and the map")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     parser.add_argument("--quick", action="store_true", help="a few dozen cases")
-    parser.add_argument("--family", help="only the cases of this family")
+    parser.add_argument("--family", help="only the cases of this family, or of those that begin so")
     parser.add_argument("--case", metavar="ID", help="run one case here and print its numbers")
     options = parser.parse_args(arguments)
     if options.jobs < 1:
@@ -42,9 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return _all(_selected(options.family, options.quick), options.jobs, options.out)
 
 
-def _selected(family: str | None, only_quick: bool) -> list[Case]:
-    cases = quick() if only_quick else list(CASES.values())
-    chosen = [case for case in cases if family in (None, case.family)]
+def _selected(family: str | None, only_quick: bool) -> list[Case | Blow]:
+    cases = [*quick(), *blows.quick()] if only_quick else [*CASES.values(), *BLOWS.values()]
+    chosen = [case for case in cases if family is None or case.family.startswith(family)]
     if not chosen:
         raise InputError(f"--family must be one of {', '.join(sorted({case.family for case in cases}))}, got {family}")
     return chosen
@@ -53,16 +55,16 @@ def _selected(family: str | None, only_quick: bool) -> list[Case]:
 def _one(name: str) -> int:
     from .workers import verdict_of
 
-    if name not in CASES:
+    case = CASES.get(name) or BLOWS.get(name)
+    if case is None:
         raise InputError(f"--case must be the id of a case, see the first column of stability.csv, got {name!r}")
-    case = CASES[name]
     verdict = verdict_of(case)
     for key, value in (asdict(case) | asdict(verdict)).items():
         print(f"{key:22}{value:.6g}" if isinstance(value, float) else f"{key:22}{value}")
     return int(not verdict.good)
 
 
-def _all(cases: list[Case], jobs: int, folder: Path) -> int:
+def _all(cases: list[Case | Blow], jobs: int, folder: Path) -> int:
     import pandas as pd
 
     from .chart import draw

@@ -14,13 +14,14 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from .blows import Blow, shares_of
 from .cases import Case
 from .verdict import Verdict, shares
 
 INK, MUTED, FAILED, REFUSED, STOPPED, NOT_RUN = "#22262b", "#7a828c", "#c81e3a", "#a9bdd6", "#8a7ca8", "#ffffff"
 UNITS = (
-    "E Pa, rho kg/m³, v and u (collider) m/s, w rad/s, L m, g m/s², tilt °, t s, gap cells, f friction, e restitution, "
-    "dt in limits, kick in wave speeds"
+    "E Pa, rho kg/m³, v and u (collider) m/s, w rad/s, L m, g m/s², m kg, tilt °, t s, gap cells, f friction, "
+    "e restitution, dt in limits, kick in wave speeds"
 )
 MARGIN = LinearSegmentedColormap.from_list("margin", ["#1b7a4b", "#8fc98a", "#f2e394"])
 """Of what a case took of the limit it came closest to: none to all."""
@@ -33,9 +34,9 @@ MARKS = {"energy": "E", "momentum": "M", "angular momentum": "M", "cells deeper"
 """What a failed tile says, by a word of its reason; "!" for an error."""
 
 
-def draw(results: Mapping[str, tuple[Case, Verdict]], path: Path) -> None:
+def draw(results: Mapping[str, tuple[Case | Blow, Verdict]], path: Path) -> None:
     """Writes the map of the results by id as a PNG."""
-    families: dict[str, list[tuple[Case, Verdict]]] = {}
+    families: dict[str, list[tuple[Case | Blow, Verdict]]] = {}
     for case, verdict in results.values():
         families.setdefault(case.family, []).append((case, verdict))
     panels = [_Panel(family) for family in families.values()]
@@ -62,7 +63,7 @@ def draw(results: Mapping[str, tuple[Case, Verdict]], path: Path) -> None:
 class _Panel:
     """One family: the last value of an id runs along x, the others along y."""
 
-    def __init__(self, results: list[tuple[Case, Verdict]]) -> None:
+    def __init__(self, results: list[tuple[Case | Blow, Verdict]]) -> None:
         values = [case.id.split("/")[1:] for case, _ in results]
         self.title = results[0][0].family.replace("_", " ")
         flat = max(len(value) for value in values) == 1 and len(values) > 8
@@ -90,8 +91,9 @@ class _Panel:
         axes.set_title(self.title, fontsize=9, fontweight="bold", color=INK, loc="left", pad=4)
 
 
-def _tile(axes: Axes, x: int, y: int, case: Case, verdict: Verdict) -> None:
-    held = MARGIN(min(max(shares(case, verdict), default=0.0), 1.0))
+def _tile(axes: Axes, x: int, y: int, case: Case | Blow, verdict: Verdict) -> None:
+    taken = shares_of(verdict) if isinstance(case, Blow) else shares(case, verdict)
+    held = MARGIN(min(max(taken, default=0.0), 1.0))
     colours = {"failed": FAILED, "refused": REFUSED, "stopped": STOPPED, "not run": NOT_RUN}
     edge, width = (MUTED, 0.4) if verdict.verdict == "not run" else ("white", 1.2)
     axes.add_patch(
@@ -102,10 +104,10 @@ def _tile(axes: Axes, x: int, y: int, case: Case, verdict: Verdict) -> None:
         axes.text(x + 0.5, y + 0.53, mark, color="white", fontsize=7, fontweight="bold", ha="center", va="center")
 
 
-def _legend(figure: Figure, results: Mapping[str, tuple[Case, Verdict]], height: float) -> None:
+def _legend(figure: Figure, results: Mapping[str, tuple[Case | Blow, Verdict]], height: float) -> None:
     counts = Counter(verdict.verdict for _, verdict in results.values())
-    figure.text(0.01, 1 - 0.22 / height, "Extreme cases of the object's MPM", fontsize=15, fontweight="bold", color=INK,
-                va="center")  # fmt: skip
+    title = "Extreme cases of the object's MPM, and of the person who strikes it"
+    figure.text(0.01, 1 - 0.22 / height, title, fontsize=15, fontweight="bold", color=INK, va="center")
     text = ", ".join(
         f"{counts[name]} {name}" for name in ("held", "refused", "stopped", "failed", "not run") if name in counts
     )
@@ -118,10 +120,10 @@ def _legend(figure: Figure, results: Mapping[str, tuple[Case, Verdict]], height:
         Patch(color=REFUSED, label="refused, as it must be"),
         Patch(
             color=STOPPED,
-            label="stopped in one line, as it may: crushed flat, or its fixed step too long",
+            label="stopped in one line, as it may: crushed flat, its step too long, the person thrown about",
         ),
         Patch(color=FAILED, label="failed: E energy, M momentum, P penetration, R refusal, ! error"),
         Patch(facecolor=NOT_RUN, edgecolor=MUTED, label="not run"),
     ]
-    figure.legend(handles=patches, loc="upper left", bbox_to_anchor=(0.22, 1 - 0.12 / height), ncols=4, frameon=False,
+    figure.legend(handles=patches, loc="upper left", bbox_to_anchor=(0.3, 1 - 0.12 / height), ncols=4, frameon=False,
                   fontsize=9, handlelength=1.2)  # fmt: skip

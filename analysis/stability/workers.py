@@ -10,6 +10,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from itertools import groupby
 
+from . import blows
+from .blows import Blow
 from .cases import Case
 from .trial import attempt
 from .verdict import Verdict, judge
@@ -20,18 +22,18 @@ BATCH = 12
 """Cases of one compile key handed to a worker at once: compiling takes longer than most cases."""
 
 
-def verdict_of(case: Case) -> Verdict:
+def verdict_of(case: Case | Blow) -> Verdict:
     """Runs and judges one case in this process."""
-    return judge(attempt(case))
+    return blows.verdict_of(case) if isinstance(case, Blow) else judge(attempt(case))
 
 
-def run_all(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
+def run_all(cases: Iterable[Case | Blow], jobs: int) -> Iterator[tuple[Case | Blow, Verdict]]:
     """Each case with its verdict as it comes, from `jobs` processes; leaving the loop early kills them."""
     cases = list(cases)
-    batches: queue.SimpleQueue[list[Case]] = queue.SimpleQueue()
+    batches: queue.SimpleQueue[list[Case | Blow]] = queue.SimpleQueue()
     for batch in _batches(cases):
         batches.put(batch)
-    done: queue.SimpleQueue[tuple[Case, Verdict]] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[Case | Blow, Verdict]] = queue.SimpleQueue()
     stop = threading.Event()
     for _ in range(jobs):
         threading.Thread(target=_work, args=(batches, done, stop), daemon=True).start()
@@ -44,7 +46,7 @@ def run_all(cases: Iterable[Case], jobs: int) -> Iterator[tuple[Case, Verdict]]:
             process.kill()
 
 
-def _batches(cases: Iterable[Case]) -> list[list[Case]]:
+def _batches(cases: Iterable[Case | Blow]) -> list[list[Case | Blow]]:
     """Runs of cases that share compiled kernels, the most work first so that no worker is left with it at the end."""
     batches = []
     for _, group in groupby(sorted(cases, key=lambda case: case.compile_key), key=lambda case: case.compile_key):
@@ -54,7 +56,9 @@ def _batches(cases: Iterable[Case]) -> list[list[Case]]:
 
 
 def _work(
-    batches: "queue.SimpleQueue[list[Case]]", done: "queue.SimpleQueue[tuple[Case, Verdict]]", stop: threading.Event
+    batches: "queue.SimpleQueue[list[Case | Blow]]",
+    done: "queue.SimpleQueue[tuple[Case | Blow, Verdict]]",
+    stop: threading.Event,
 ) -> None:
     """One worker's thread: batch after batch in one process, which is replaced when it dies."""
     executor = _process()

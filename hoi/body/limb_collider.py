@@ -66,6 +66,9 @@ def ready_to_push(
 
     A limb other than the one that strikes pushes only if it is outside the object by then too. No capsule is thinner
     than the object's Gaussians are apart: it would slip in between them.
+
+    Raises:
+        RunError: the striking limb is in the object from the first frame on.
     """
     frames = np.arange((scene.frames - 1) * samples + 1) / samples
     rotations, positions = joint_frames(scene.body, motion, frames)

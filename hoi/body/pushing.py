@@ -26,74 +26,39 @@ class Pushing:
         owners = PART[capsules.joints]
         rest = np.asarray(person.body.rest_joints, np.float64)
         self._local = np.stack([capsules.starts, capsules.ends], axis=1) - rest[owners][:, None]
-        self._joints, self._part = np.unique(owners, return_inverse=True)
-        self._bodies = [person.parts.part[joint] for joint in self._joints]
-        self.given = np.zeros(3)
-        """What the object got so far [N s], (3,)."""
+        joints, self.parts = np.unique(owners, return_inverse=True)
+        self._joints: list[int] = joints.tolist()
+        self._bodies = np.array([person.parts.part[joint] for joint in self._joints])[self.parts]
         self._times_pushed = 0
         self._seen: tuple[int, float, Collider] | None = None
         self._refresh()
 
     def _refresh(self) -> None:
-        data = self.person.parts.data
-        bodies = np.array(self._bodies)[self._part]
-        turns = data.xmat.reshape(-1, 3, 3)[bodies]
-        self.ends = np.einsum("jab,jeb->jea", turns, self._local) + data.xpos[bodies][:, None]
-        self._jacobian: Array | None = None
-        self._rates = self.person.rates
-        self._move(self._twists(self._rates))
+        person = self.person
+        data = person.parts.data
+        turns = data.xmat.reshape(-1, 3, 3)[self._bodies]
+        self.ends = np.einsum("jab,jeb->jea", turns, self._local) + data.xpos[self._bodies][:, None]
+        origin = np.zeros(3)
+        self._jacobian = np.concatenate([person.parts.jacobian(joint, origin) for joint in self._joints])
+        self.rates = person.rates
+        self.twists = (self._jacobian @ self.rates).reshape(-1, 6)
 
-    def _twists(self, rates: Array) -> Array:
-        """Velocity at the world's origin and turning of each part with capsules, (P, 6)."""
-        if self._jacobian is None:
-            origin = np.zeros(3)
-            self._jacobian = np.stack([self.person.parts.jacobian(joint, origin) for joint in self._joints])
-        return self._jacobian @ rates
+    def ease(self, parts: NDArray[np.intp]) -> Array:
+        """W = J B J^T."""
+        jacobian = self._of(parts)
+        return np.einsum("in,jn->ij", np.einsum("in,nm->im", jacobian, self.person.mobility), jacobian)
 
-    def _move(self, twists: Array) -> None:
-        linear, turning = twists[self._part, :3], twists[self._part, 3:]
-        self.velocities = linear[:, None] + np.cross(turning[:, None], self.ends)
+    def _of(self, parts: NDArray[np.intp]) -> Array:
+        """J of some parts, (6 K, nv)."""
+        return self._jacobian.reshape(-1, 6, len(self.rates))[parts].reshape(-1, len(self.rates))
 
-    def meet(
-        self, capsules: NDArray[np.intp], mass: Array, first: Array, second: Array, linear: Array, angular: Array
-    ) -> None:
-        """Predicts t' = t + W (h - G t'), the twists of the parts that move as one with clusters of nodes.
-
-        t = J q' are theirs before, W = J B J^T is how easily they are moved, h is the momentum of the clusters, and
-        G t' what that is once they move along.
-        """
-        parts = self._part[capsules]
-        met = np.unique(parts[mass > 0])
-        before = self._twists(self._rates)
-        assert self._jacobian is not None
-        inertia, momentum = np.zeros((len(met), 6, 6)), np.zeros((len(met), 6))
-        for k, part in enumerate(met):
-            own = parts == part
-            m, f, s = mass[own].sum(), first[own].sum(axis=0), second[own].sum(axis=0)
-            cross = np.array([[0, -f[2], f[1]], [f[2], 0, -f[0]], [-f[1], f[0], 0]])
-            inertia[k] = np.block([[m * np.eye(3), -cross], [cross, np.trace(s) * np.eye(3) - s]])
-            momentum[k] = np.concatenate([linear[own].sum(axis=0), angular[own].sum(axis=0)])
-        jacobian = self._jacobian[met].reshape(-1, len(self._rates))
-        spread = self.person.mobility @ jacobian.T
-        ease, along = jacobian @ spread, np.zeros((6 * len(met), 6 * len(met)))
-        for k in range(len(met)):
-            along[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = inertia[k]
-        h = momentum.ravel()
-        after = np.linalg.solve(np.eye(len(h)) + ease @ along, before[met].ravel() + ease @ h)
-        self._move(self._twists(self._rates + spread @ (h - along @ after)))
-
-    def take(self, capsules: NDArray[np.intp], linear: Array, angular: Array) -> None:
-        self._twists(self._rates)
-        assert self._jacobian is not None
-        wrenches = np.concatenate([linear, angular], axis=1)
-        generalised = np.einsum("kin,ki->n", self._jacobian[self._part[capsules]], wrenches)
-        self._rates = self._rates - self.person.mobility @ generalised
-        self.given = self.given + linear.sum(axis=0)
+    def take(self, parts: NDArray[np.intp], wrenches: Array) -> None:
+        self.rates = self.rates - self.person.mobility @ (wrenches.ravel() @ self._of(parts))
+        self.twists = (self._jacobian @ self.rates).reshape(-1, 6)
         self._times_pushed += 1
-        self._move(self._twists(self._rates))
 
     def advance(self, seconds: float) -> None:
-        self.person.turn_to(self._rates)
+        self.person.turn_to(self.rates)
         self.person.advance(seconds)
         self._refresh()
 

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Scene, SceneObject
-from hoi.mpm.collider import Collider, Partner, Push
+from hoi.data import Array, ObjectState, ObjectTrajectory, Plane, Push, Scene, SceneObject
+from hoi.mpm.collider import Collider, Partner
 from hoi.mpm.state import centre_of_mass, initial_state
 from hoi.reports import Stage
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hoi.body.dynamics import Person
-from hoi.body.limb_collider import NEAR_IN_ANSWER, ready_to_push
+from hoi.body.limb_collider import Ready
 from hoi.body.pushing import Pushing
-from hoi.data import Contact, Motion, ObjectTrajectory, Scene
+from hoi.data import Contact, Motion, Scene
 from hoi.reports import Stage
 
 UNMOVED = 0.001
@@ -35,16 +35,17 @@ def person_at(scene: Scene, motion: Motion, time: float, muscles: Muscles) -> Pe
     return Person(scene.body, motion, start=time, gravity=gravity, **vars(muscles))
 
 
-def pushing(
-    scene: Scene, motion: Motion, free: ObjectTrajectory, contact: Contact, muscles: Muscles, *, samples: int,
-    friction: float,
-) -> tuple[Pushing, tuple[str, ...]]:  # fmt: skip
-    """The person from the last moment at which the striking limb is outside the object, its limbs and trunk as capsules
-    that take the opposite of what they give; arguments, notes and errors as of `hoi.body.limb_collider.limb_collider`.
+def pushing(scene: Scene, motion: Motion, ready: Ready, muscles: Muscles, friction: float) -> Pushing:
+    """The person from where capsules are ready on, which take the opposite of what they give.
+
+    Args:
+        friction: Coulomb coefficient between limbs and object [-].
+
+    Raises:
+        RunError: it has no volume.
     """
-    ready = ready_to_push(scene, motion, free, contact, samples, NEAR_IN_ANSWER)
     person = person_at(scene, motion, float(ready.times[0]), muscles)
-    return Pushing(person, ready.capsules, ready.radii, friction), ready.notes
+    return Pushing(person, ready.capsules, ready.radii, friction)
 
 
 def react(person: Person, contacts: Sequence[Contact], stage: Stage) -> Motion:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hoi.data import Contact, ObjectState, ObjectTrajectory, Scene, SceneObject
+from hoi.data import Contact, ObjectState, ObjectTrajectory, Push, Scene, SceneObject
 from hoi.frames import at_frame
 from hoi.method.contact import exchange
 from hoi.method.object_motion import Advanced, Mover, at_rest, trajectory_of
@@ -59,11 +59,11 @@ def push_by(
     collider: Collider | Partner,
     move: Mover,
     stage: Stage,
-) -> tuple[ObjectTrajectory, Contact]:
+) -> tuple[ObjectTrajectory, Contact, tuple[Push, ...]]:
     """The object pushed by the collider from frame `start` on; before, it stays as in `free`.
 
     Returns:
-        the trajectory, and the contact with the impulse and the duration of the push that it began.
+        the trajectory, the contact with the impulse and the duration of the push that it began, and all pushes.
     """
     frames = [float(frame) for frame in range(scene.frames) if frame > start]
     state = _state_at(scene, free, states, start, move, stage)
@@ -71,7 +71,7 @@ def push_by(
     trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
     if not after.pushes:
         stage.notes.append("the limb's capsules passed the object without touching it")
-        return trajectory, contact
+        return trajectory, contact, ()
     given = sum(push.impulse for push in after.pushes)
     strike = min(after.pushes, key=lambda push: abs(push.start * scene.fps - contact.frame))
     first, last = strike.start * scene.fps, strike.end * scene.fps
@@ -79,7 +79,8 @@ def push_by(
         impulse=float(np.linalg.norm(given)), pushes=len(after.pushes), pushed_from=first, pushed_until=last
     )
     v_post = at_frame(trajectory.com_velocity, float(np.ceil(last)))
-    return trajectory, replace(contact, impulse=strike.impulse, v_post=v_post, duration=strike.end - strike.start)
+    contact = replace(contact, impulse=strike.impulse, v_post=v_post, duration=strike.end - strike.start)
+    return trajectory, contact, after.pushes
 
 
 def _state_at(

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hoi.data import Array
+from hoi.data import Array, Push
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,6 @@ PAUSE = 0.02
 """Pushes further apart in time are two [s]."""
 
 
-@dataclass(frozen=True)
-class Push:
-    """What a collider gave the object while they stayed in touch."""
-
-    start: float
-    end: float
-    """[s]"""
-    impulse: Array
-    """[N s], (3,)."""
-
-
 def joined(pushes: Iterable[Push], offset: float = 0.0) -> list[Push]:
     """Pushes in the order of time, `offset` [s] later, those that hardly pause taken as one."""
     found: list[Push] = []
@@ -60,29 +49,24 @@ class Partner(Protocol):
     """[m], (J,)."""
     friction: float
     """Coulomb coefficient against the object [-]."""
+    parts: NDArray[np.intp]
+    """The rigid part that carries each, (J,)."""
     ends: Array
     """Where the ends of the axes are now [m], (J, 2, 3)."""
-    velocities: Array
-    """... and how fast they move [m/s], (J, 2, 3)."""
+    twists: Array
+    """How each part moves now: its velocity at the world's origin [m/s] and its turning [rad/s], (P, 6)."""
 
-    def meet(
-        self, capsules: NDArray[np.intp], mass: Array, first: Array, second: Array, linear: Array, angular: Array
-    ) -> None:
-        """Sets `velocities` to those that all capsules have once some move as one with a cluster of nodes each.
-
-        Args:
-            capsules: which, (K,).
-            mass: of the clusters [kg], (K,). first, second: their moments, (K, 3) and (K, 3, 3).
-            linear, angular: their momenta, (K, 3). All about the world's origin.
-        """
+    def ease(self, parts: NDArray[np.intp]) -> Array:
+        """W (6 K, 6 K) of K parts, symmetric: wrenches p on them, impulses and angular impulses about the world's
+        origin, change their twists by W p."""
         ...
 
-    def take(self, capsules: NDArray[np.intp], linear: Array, angular: Array) -> None:
-        """Takes the opposite of what K capsules gave: impulses and angular impulses about the origin, (K, 3)."""
+    def take(self, parts: NDArray[np.intp], wrenches: Array) -> None:
+        """Takes the opposite of the wrenches (K, 6) that capsules on K parts gave."""
         ...
 
     def advance(self, seconds: float) -> None:
-        """Goes on by itself; `ends` have moved with `velocities` since the last time, and are then put right."""
+        """Goes on by itself."""
         ...
 
     def foreseen(self) -> Collider:

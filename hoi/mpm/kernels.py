@@ -32,6 +32,7 @@ from collections.abc import Sequence
 from hoi.compute import CPU_TASK, ti
 from hoi.mpm.boundary import hold_to_capsules, hold_to_planes, in_a_capsule, nearest_plane
 from hoi.mpm.damping import LEAST_ENERGY, STIFFENING
+from hoi.mpm.exchange import exchange_in_turn
 from hoi.mpm.law import LAM, MU, Kernels
 from hoi.mpm.laws import LAWS
 from hoi.mpm.tensor_kernels import epsilon
@@ -360,24 +361,32 @@ def advance_serial(
     tolerance: float,
     origin: ti.types.vector(4, int),
     shape: ti.types.vector(4, int),
+    coupled: ti.template(),
+    parts: ti.types.ndarray(),
+    body: ti.types.ndarray(),
 ):
     """Up to `steps` steps in one launch and one serial task; fewer when a particle comes to the rim or is inverted.
 
-    `given` (1) gets the momentum that capsules gave [N s]. The copy of the grid is clear before, and after unless a
+    `given` (1) gets the momentum that capsules gave [N s]; where they are `coupled` to parts it is in `body`, see
+    `hoi.mpm.exchange`, and they have moved on with each step. The copy of the grid is clear before, and after unless a
     particle is inverted.
     """
     nodes = shape[0] * shape[1] * shape[2]
     for _ in range(1):
-        done = 0
+        done, now = 0, dt
         pushed = zero()
         while done < steps and status[AT_RIM] == 0 and status[INVERTED] == 0:
+            if ti.static(not coupled):
+                now = (done + 1.0) * dt
             for p in range(x.shape[0]):
                 scatter(p, nodes, False, damped, size, models, x, v, c, f, hardening, play, mass, volume, region,
-                        materials, grid, slope, status, near, planes, capsules, touched, (done + 1.0) * dt, dt, dx,
-                        inv_dx, tolerance, origin, shape)  # fmt: skip
+                        materials, grid, slope, status, near, planes, capsules, touched, now, dt, dx, inv_dx, tolerance,
+                        origin, shape)  # fmt: skip
+            if ti.static(coupled):
+                exchange_in_turn(nodes, 1, grid, touched, capsules, parts, body, dt, dx, gravity, shape)
             for node in range(nodes):
                 pushed += update_node(node, nodes, 1, near, grid, slope, planes, capsules, touched, dt, dx, gravity,
-                                      (done + 1.0) * dt, shape)  # fmt: skip
+                                      now, shape)  # fmt: skip
             for p in range(x.shape[0]):
                 gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx, inv_dx,
                        drift, origin, shape)  # fmt: skip

@@ -25,10 +25,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hoi.data import Array, Material, ObjectState, Plane
+from hoi.data import Array, Material, ObjectState, Plane, Push
 from hoi.mpm import rigid
 from hoi.mpm.boundary import PLANE_DEPTH
-from hoi.mpm.collider import Collider, Partner, Push, joined
+from hoi.mpm.collider import Collider, Partner, joined
 from hoi.mpm.materials import lame_parameters
 from hoi.mpm.solver import Simulation
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hoi.compute import Device, Precision, start_compiler, ti
-from hoi.data import Array, Material, ObjectState, Plane
+from hoi.data import Array, Material, ObjectState, Plane, Push
 from hoi.errors import InputError, RunError
 from hoi.mpm import boundary, kernels
-from hoi.mpm.collider import Collider, Partner, Push, joined
-from hoi.mpm.coupling import Coupling
+from hoi.mpm.collider import Collider, Partner, joined
+from hoi.mpm.coupling import Coupling, fastest, no_parts
 from hoi.mpm.damping import Damping, damping
+from hoi.mpm.exchange import exchange
 from hoi.mpm.law import PARAMETERS
 from hoi.mpm.laws import LAWS
 from hoi.mpm.materials import parameters
@@ -251,8 +252,9 @@ class Simulation:
         """Stands for no capsules, or no planes."""
         self.plane_rows = ti.Vector.ndarray(4, real, 2 * len(self.planes)) if self.planes else self.none
         self.placed_at = None
+        self.no_parts = no_parts()
         if self.partner is not None:
-            self.coupling = Coupling(self.partner, real, self.on_gpu)
+            self.coupling = Coupling(self.partner, real)
 
     @property
     def memory(self) -> int:
@@ -423,14 +425,14 @@ class Simulation:
         """The longest step in which no capsule of the partner moves by more than half a cell [s]."""
         if self.partner is None:
             return math.inf
-        return 0.5 * self.dx / max(float(np.linalg.norm(self.partner.velocities, axis=-1).max()), 1e-9)
+        return 0.5 * self.dx / max(fastest(self.partner), 1e-9)
 
     def _partner_near(self, low: Array, high: Array, path: float, seconds: float) -> bool:
         """Whether a capsule of the partner may reach nodes of particles in this box that move by `path` [m]."""
         if self.partner is None:
             return False
-        speed = float(np.linalg.norm(self.partner.velocities, axis=-1).max())
-        return self.coupling.choose(low, high, 0.5 * self.size * self.dx + path + 2 * speed * seconds)
+        reach = 0.5 * self.size * self.dx + path + 2 * fastest(self.partner) * seconds
+        return self.coupling.choose(low, high, reach)
 
     def _launch(
         self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool = False,
@@ -443,37 +445,33 @@ class Simulation:
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
-        capsules = self.coupling.capsules if coupled else self._capsules(origin)
+        if coupled:
+            self.coupling.begin(origin * self.dx)
+        capsules, parts, body = (
+            (self.coupling.capsules, self.coupling.parts, self.coupling.body)
+            if coupled else (self._capsules(origin), *self.no_parts)
+        )  # fmt: skip
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
                   self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, capsules,
                   self.touched, self.given, self.status)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
-        if self.serial and not coupled:
-            kernels.advance_serial(steps, int(near), self.damped, self.size, self.models, *arrays, *numbers)
+        if self.serial:
+            how = (steps, int(near), self.damped, self.size, self.models)
+            kernels.advance_serial(*how, *arrays, *numbers, coupled, parts, body)
         else:
             self.given.fill(0.0)
             shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
             for number in range(steps):
-                number = 0 if coupled else number  # then capsules are written anew for each step
+                number = 0 if coupled else number  # then the capsules move on with each step
                 how = (number, int(near), shares, copies, self.on_gpu, self.damped, self.size, self.models)
-                if coupled:
-                    self.coupling.place(origin * self.dx)
                 kernels.begin_step(*how, *arrays, *numbers)
                 if coupled:
-                    self.coupling.exchange(
-                        self.grid,
-                        self.touched,
-                        copies,
-                        dt,
-                        self.dx,
-                        numbers[0],
-                        numbers[-1],
-                        origin * self.dx,
-                    )
+                    exchange(copies, self.on_gpu, self.grid, self.touched, capsules, parts, body, dt, self.dx,
+                             numbers[0], numbers[-1])  # fmt: skip
                 kernels.end_step(*how, *arrays, *numbers)
         if coupled:
-            self.collider_impulse, self.coupling.given = self.collider_impulse + self.coupling.given, np.zeros(3)
+            self.collider_impulse = self.collider_impulse + self.coupling.end(origin * self.dx)
         elif near:
             self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
         status = self.status.to_numpy()

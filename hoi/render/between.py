@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from hoi.data import Array, ContactSearch, Motion, ObjectTrajectory, Scene, State
+from hoi.data import Array, Motion, ObjectTrajectory, Scene, State
 
 MISFIT = 0.02
 """Distance between where velocities lead and where the object is, over the way between two frames, that a blow explains
@@ -35,7 +35,7 @@ def at_frames(scene: Scene, state: State, frames: Array, fps: float) -> tuple[Sc
         contacts = tuple(replace(each, frame=_place(each.frame, frames)) for each in search.contacts)
         gap = search.smallest_gap_frame
         gap = _place(gap, frames) if np.isfinite(gap) else gap
-        search = ContactSearch(contacts, search.smallest_gap, gap, search.smallest_gap_joint)
+        search = replace(search, contacts=contacts, smallest_gap_frame=gap)
     if target is not None:
         target = replace(target, frame=round(_place(target.frame, frames)))
     return replace(scene, frames=len(frames), fps=fps), State(motion, trajectory, target, search)

@@ -15,21 +15,20 @@ class Stone:
     """A ball of some mass that does not turn, as a partner."""
 
     def __init__(self, centre, velocity, mass: float, radius: float = 0.05, friction: float = 0.0) -> None:
-        self.radii, self.friction, self.mass = np.array([radius]), friction, mass
+        self.radii, self.friction, self.mass, self.parts = np.array([radius]), friction, mass, np.array([0])
         self.centre, self.velocity = np.asarray(centre, float), np.asarray(velocity, float)
         self._place()
 
     def _place(self) -> None:
         self.ends = np.tile(self.centre, (1, 2, 1))
-        self.velocities = np.tile(self.velocity, (1, 2, 1))
+        self.twists = np.concatenate([self.velocity, np.zeros(3)])[None]
 
-    def meet(self, capsules, mass, first, second, linear, angular) -> None:
-        together = (self.mass * self.velocity + linear.sum(axis=0)) / (self.mass + mass.sum())
-        self.velocities = np.tile(together, (1, 2, 1))
+    def ease(self, parts):
+        return np.diag(np.repeat([1 / self.mass, 0], 3))
 
-    def take(self, capsules, linear, angular) -> None:
-        self.velocity = self.velocity - linear.sum(axis=0) / self.mass
-        self.velocities = np.tile(self.velocity, (1, 2, 1))
+    def take(self, parts, wrenches) -> None:
+        self.velocity = self.velocity - wrenches[:, :3].sum(axis=0) / self.mass
+        self._place()
 
     def advance(self, seconds: float) -> None:
         self.centre = self.centre + seconds * self.velocity

@@ -54,28 +54,29 @@ class Collider(Detection):
         draft.omit("the limb as a moving obstacle", because, "its capsules")
 
     def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
-        from hoi.body.limb_collider import limb_collider
+        from hoi.body.limb_collider import NEAR_IN_ANSWER, limb_collider, ready_to_push
         from hoi.method.resimulation import push_by
 
         motion, free, search = state.motion, state.trajectory, state.contact
         assert motion is not None and free is not None and search is not None and search.push is not None
-        push, how = search.push, {"samples": self.samples, "friction": self.friction}
+        push = search.push
         if not self.answers(scene, stage):
             with self._apart():
-                limbs, notes = limb_collider(scene, motion, free, push, **how)
+                limbs, notes = limb_collider(scene, motion, free, push, samples=self.samples, friction=self.friction)
             stage.notes.extend(notes)
             start = float(limbs.times[0]) * scene.fps
-            trajectory, pushed = push_by(scene, free, restarts, push, start, limbs, move, stage)
-            return replace(state, trajectory=trajectory, contact=search.with_push(pushed))
+            trajectory, pushed, pushes = push_by(scene, free, restarts, push, start, limbs, move, stage)
+            return replace(state, trajectory=trajectory, contact=search.with_push(pushed, pushes))
         from hoi.method.reaction import pushed_back, pushing
 
         with self._apart():
-            person, notes = pushing(scene, motion, free, push, self.muscles, **how)
-        stage.notes.extend(notes)
+            ready = ready_to_push(scene, motion, free, push, self.samples, NEAR_IN_ANSWER)
+        stage.notes.extend(ready.notes)
+        person = pushing(scene, motion, ready, self.muscles, self.friction)
         start = person.person.time * scene.fps
-        trajectory, pushed = push_by(scene, free, restarts, push, start, person, move, stage)
+        trajectory, pushed, pushes = push_by(scene, free, restarts, push, start, person, move, stage)
         motion, pushed = pushed_back(scene, motion, person, pushed, self.muscles, stage)
-        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(pushed))
+        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(pushed, pushes))
 
     @contextmanager
     def _apart(self) -> Iterator[None]:
