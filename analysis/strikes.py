@@ -67,7 +67,7 @@ def judged(
     """Medians over the seeds, and the share of strikes with the named limb; on the prior's own skeleton."""
     import torch
 
-    from hoi.method.hmsd import PoseParameters
+    from hoi.method.pose import PoseParameters
 
     from .motion import measures
 

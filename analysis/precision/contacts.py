@@ -20,7 +20,7 @@ from hoi.config import Config
 from hoi.config.compose import config_of
 from hoi.data import Contact, Motion, Run
 from hoi.errors import RunError
-from hoi.method.hmsd import PoseParameters
+from hoi.method.pose import PoseParameters
 from hoi.motion.evaluator import load_evaluator
 from hoi.motion.prior import load_prior
 from hoi.record import read

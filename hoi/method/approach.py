@@ -22,10 +22,10 @@ from hoi.method.attraction import ENDS, carried_push, carried_strike, pushed_fac
 from hoi.method.push import depth_along, facing
 from hoi.method.scene_representation import check_apart, is_apart
 
-WAITING = 0.02
-"""Vertical distance [m] that a frame of waiting, or of haste, is worth."""
-SOONEST = 5
-"""Frame before which no strike is moved."""
+WAITING = 0.4
+"""Vertical distance that a second of waiting, or of haste, is worth [m/s]."""
+SOONEST = 0.25
+"""Time before which no strike is moved [s]."""
 BACK, BACK_STEP = 0.5, 0.02
 """How far, and in which steps, a person is moved back who would start inside the object [m]."""
 NO_DIRECTION = 0.01
@@ -55,7 +55,7 @@ def approach(
     meeting = target.meeting_frame(scene.frames)
     if height is None:
         height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
-    later = delay(height, trajectory.com[:, 2], meeting)
+    later = delay(height, trajectory.com[:, 2], meeting, scene.fps)
     motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
     if is_still(joint_paths(scene.body, motion)[:, list(target.striking)]):
         there = within_reach(scene, motion, trajectory, target)
@@ -160,7 +160,7 @@ def delayed(motion: Motion, frames: int) -> Motion:
     )
 
 
-def delay(height: float, heights: Array, meeting: int) -> int:
+def delay(height: float, heights: Array, meeting: int, fps: float) -> int:
     """By how many frames a strike at `height` [m] should come later to meet an object that rises or falls.
 
     Args:
@@ -168,8 +168,8 @@ def delay(height: float, heights: Array, meeting: int) -> int:
         meeting: the frame at which the strike would meet it now.
     """
     frames = np.arange(len(heights))
-    cost = np.abs(heights - height) + WAITING * np.abs(frames - meeting)
-    cost[:SOONEST] = np.inf
+    cost = np.abs(heights - height) + (WAITING / fps) * np.abs(frames - meeting)
+    cost[: min(round(SOONEST * fps), len(heights) - 1)] = np.inf
     return int(cost.argmin()) - meeting
 
 

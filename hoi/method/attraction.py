@@ -15,10 +15,13 @@ from hoi.body.skeleton import JOINT_COUNT
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Scene, State, Target
 from hoi.frames import at_frame
-from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise, stream_generators
+from hoi.method.hmsd import ScoreDistillation, optimise, stream_generators
+from hoi.method.pose import PoseParameters
 from hoi.method.push import HANDS, Face, depth_along, face_of, held, palms, places, wrists
 from hoi.reports import Stage
 
+FPS = 20.0
+"""Of the paper [1/s]."""
 ENDS = 0.2
 """No strike is aimed nearer to the upper and lower ends of an object than this [m]: balls are struck at the centre."""
 ARRIVED = 0.015
@@ -55,7 +58,7 @@ def choose_target(joints: Array, candidates: Sequence[int] = range(JOINT_COUNT))
     return Target(joint, int(velocity[:, joint].argmax()), "velocity profile")
 
 
-def window(frames: int, target: Target, sigma: float, half_width: int) -> Array:
+def window(frames: int, target: Target, sigma: float, half_width: float) -> Array:
     """g(t) = exp(-(t - t*)^2 / (2 sigma^2)), zero beyond `half_width` frames, (T,); 1 while a push is held."""
     offset = np.arange(frames) - target.frame
     offset = offset - np.clip(offset, 0, target.hold)
@@ -191,7 +194,7 @@ def windowed_attraction(
     Args:
         states: with motion, trajectory and target.
         growth: of lambda_attr each iteration in which the joint is not yet where it should be at t* [-].
-        sigma, half_width: of the window [frames].
+        sigma, half_width: of the window, in frames of the paper's rate, `FPS`.
         to_com: pull to the centre of mass, not to the object's surface.
     """
     goals, windows, targets = [], [], []
@@ -199,7 +202,8 @@ def windowed_attraction(
         motion, trajectory, target = state.motion, state.trajectory, state.target
         assert motion is not None and trajectory is not None and target is not None
         goals.append(goal_paths(scene, motion, trajectory, target, to_com=to_com))
-        windows.append(window(scene.frames, target, sigma, half_width))
+        stretch = scene.fps / FPS
+        windows.append(window(scene.frames, target, sigma * stretch, half_width * stretch))
         targets.append(target)
     goal, near = (
         torch.as_tensor(np.stack(values), dtype=torch.float32, device=batch.device) for values in (goals, windows)
@@ -248,7 +252,7 @@ def coordinate(
     """
     motions = [state.motion for state in states if state.motion is not None]
     body, fps, device = batch.scenes[0].body, batch.scenes[0].fps, batch.device
-    pose = PoseParameters.of(motions, device, steps=distillation is not None)
+    pose = distillation.pose(motions, device) if distillation else PoseParameters.of(motions, device, steps=False)
     terms: dict[str, Term] = {}
     if distillation is not None and lambda_hmsd > 0:
         generators = stream_generators(batch.seeds, "coordinate")

@@ -8,71 +8,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hoi.body.kinematics import joint_positions, leg_length
+from hoi.body.kinematics import forward_kinematics, leg_length, local_rotations
+from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import sole_height
 from hoi.data import Motion, Scene
-from hoi.errors import RunError
+from hoi.errors import InputError, RunError
+from hoi.method.pose import PoseParameters, knots, resampled
 from hoi.motion import features
 from hoi.motion.diffusion import ancestral_sample, ddim_sample, q_sample
 from hoi.motion.prior import MotionPrior, load_prior
 from hoi.reports import Stage
 from hoi.streams import stream_seed
 
-PELVIS_VELOCITY = slice(1, 3)
-"""Where `hoi.motion.features` has the pelvis' velocity along the ground."""
-
-
-@dataclass
-class PoseParameters:
-    """The optimised X = (r, omega, theta) of B runs at once; shapes as in `hoi.data.Motion`, after B.
-
-    The root's path is held as its start and its steps from frame to frame, of which the first, r(0), stays where it is.
-    The prior sees steps, not places, and Adam moves each variable by about the learning rate an iteration: a pull on
-    one frame then bends the whole way there instead of tearing that frame away from its neighbours. Without a prior
-    (`steps` False) nothing ties frames together, and r is optimised frame by frame.
-    """
-
-    start: Tensor
-    root: Tensor
-    """Steps (B, T-1, 3) [m] if `steps`, else r (B, T, 3) [m]."""
-    orientation: Tensor
-    body_pose: Tensor
-    steps: bool
-
-    @classmethod
-    def of(
-        cls, motions: Sequence[Motion], device: str = "cpu", dtype: torch.dtype = torch.float32, steps: bool = True
-    ) -> "PoseParameters":
-        """The motions, which are of one length, one a run."""
-
-        def leaf(arrays: Sequence[np.ndarray]) -> Tensor:
-            return torch.tensor(np.stack(arrays), dtype=dtype, device=device, requires_grad=True)
-
-        r = [np.asarray(motion.translation, dtype=np.float64) for motion in motions]
-        root = leaf([np.diff(path, axis=0) if steps else path for path in r])
-        start = torch.tensor(np.stack([path[:1] for path in r]), dtype=dtype, device=device)
-        orientation, body_pose = [motion.orientation for motion in motions], [motion.body_pose for motion in motions]
-        return cls(start, root, leaf(orientation), leaf(body_pose), steps)
-
-    @property
-    def translation(self) -> Tensor:
-        """r [m], (B, T, 3)."""
-        if not self.steps:
-            return self.root
-        return torch.cat([self.start, self.start + self.root.cumsum(dim=-2)], dim=-2)
-
-    def motions(self, fps: float) -> list[Motion]:
-        """One motion a run."""
-        values = (p.detach().float().cpu().numpy() for p in (self.translation, self.orientation, self.body_pose))
-        return [Motion(*parts, fps=fps) for parts in zip(*values, strict=True)]
-
-    def leaves(self) -> tuple[Tensor, Tensor, Tensor]:
-        """The tensors that are optimised."""
-        return self.root, self.orientation, self.body_pose
-
-    def joints(self, rest_joints: Tensor) -> Tensor:
-        """World joint positions p_j(t) [m], (B, T, 24, 3)."""
-        return joint_positions(self.translation, self.orientation, self.body_pose, rest_joints)
+PELVIS_VELOCITY, MOVING = slice(1, 3), slice(1, 4)
+"""Where `hoi.motion.features` has the pelvis' velocity along the ground, and with it its turning."""
+ENDS = ("left_wrist", "right_wrist", "left_ankle", "right_ankle")
+"""What strikes, mostly."""
+LEAST_FRAMES, MOST_FRAMES = 40, 4000
+"""Frames of the prior: shorter motions than those it was trained on it knows only as a piece of one, held at its ends;
+the denoiser has places for some thousand."""
 
 
 def stream_generators(seeds: Sequence[int], name: str) -> list[torch.Generator]:
@@ -112,6 +66,18 @@ class ScoreDistillation:
         )
         return self.prior.normalise(raw)
 
+    def pose(self, motions: Sequence[Motion], device: str) -> PoseParameters:
+        """X of motions of any frame rate, at the prior's.
+
+        Raises:
+            InputError: they are longer than the prior can see.
+        """
+        pose = PoseParameters.of(motions, device, rate=self.prior.fps)
+        if pose.orientation.shape[1] > MOST_FRAMES:
+            seconds = MOST_FRAMES / self.prior.fps
+            raise InputError("scene.frames", len(motions[0]), f"at most {seconds:g} s long, {MOST_FRAMES} of the prior")
+        return pose
+
     def predict_x0(self, x_t: Tensor, t: Tensor, guidance: float, rescale: float) -> Tensor:
         """X0_hat of the prior for the prompt, (B, T, 205); with `stand`, of a pelvis that does not travel."""
         x0 = self.prior.predict_x0(x_t, t, self.text, guidance, rescale)
@@ -129,6 +95,9 @@ class ScoreDistillation:
         Details). Each run draws t and noise from its own generator.
         """
         x = self.features(pose)
+        short = max(LEAST_FRAMES - x.shape[1], 0)
+        own = slice(short // 2, short // 2 + x.shape[1])
+        x = _held(x, short // 2, short - short // 2, self.prior)
         drawn = [
             (torch.randint(self.t_min, self.t_max, (), generator=each), torch.randn(x.shape[1:], generator=each))
             for each in generators
@@ -138,8 +107,22 @@ class ScoreDistillation:
             x_t = q_sample(x, t, noise.to(x), self.prior.alphas_cumprod)
             x0 = self.predict_x0(x_t, t, self.guidance, self.rescale)
         weights = 1 - self.prior.alphas_cumprod.to(x)[t]
-        squared = (x - x0) ** 2
+        squared = (x - x0)[:, own] ** 2
         return 0.5 * weights * (squared.sum(dim=(-1, -2)) if self.summed else squared.mean(dim=(-1, -2)))
+
+
+def _held(x: Tensor, before: int, after: int, prior: MotionPrior) -> Tensor:
+    """Normalised features (B, T, 205) with the first pose held for so many frames, and the last."""
+    if not before + after:
+        return x
+    still = prior.normalise(torch.zeros_like(x[0, 0]))
+
+    def held(frame: Tensor, count: int) -> Tensor:
+        frame = frame.detach().clone()
+        frame[..., MOVING] = still[MOVING]
+        return frame.expand(-1, count, -1)
+
+    return torch.cat([held(x[:, :1], before), x, held(x[:, -1:], after)], dim=1)
 
 
 def optimise(
@@ -240,7 +223,7 @@ def synthesise(
     learning_rate: float,
 ) -> list[Motion]:
     """N_init iterations of L_HMSD. One motion a seed, optimised as one batch; `stages` are told of one each."""
-    pose = PoseParameters.of(starts, str(distillation.prior.device))
+    pose = distillation.pose(starts, str(distillation.prior.device))
     generators = stream_generators(seeds, "motion")
 
     def losses() -> dict[str, Tensor]:
@@ -251,12 +234,17 @@ def synthesise(
 
 
 def sample_features(distillation: ScoreDistillation, how: Sampling, frames: int, seeds: Sequence[int]) -> Tensor:
-    """One motion a seed drawn from the prior, as its features (B, T, 205), for its own skeleton.
+    """One motion a seed drawn from the prior at its frame rate, as its features (B, T, 205), for its own skeleton.
+
+    Fewer frames than `LEAST_FRAMES` are a piece of as many: its strike lies in it where it lies in the whole.
 
     Raises:
+        InputError: so many frames the prior cannot see.
         RunError: they are not finite.
     """
     prior = distillation.prior
+    if frames > MOST_FRAMES:
+        raise InputError("frames", frames, f"at most {MOST_FRAMES} of the prior")
 
     def predict(x: Tensor, t: Tensor) -> Tensor:
         return distillation.predict_x0(x, t, how.guidance, how.rescale)
@@ -264,22 +252,37 @@ def sample_features(distillation: ScoreDistillation, how: Sampling, frames: int,
     sample = ddim_sample if how.sampler == "ddim" else ancestral_sample
     steps = None if how.steps is None else min(how.steps, prior.timesteps)
     generators = stream_generators(seeds, "sample")
-    shape = (len(seeds), frames, features.FEATURE_COUNT)
+    shape = (len(seeds), max(frames, LEAST_FRAMES), features.FEATURE_COUNT)
     drawn = prior.denormalise(sample(predict, shape, prior.alphas_cumprod, generators, steps, prior.device))
     if not bool(drawn.isfinite().all()):
         raise RunError("the prior's sample is not finite; lower stage.motion.sample_guidance or use another prior")
-    return drawn
+    if frames >= LEAST_FRAMES:
+        return drawn
+    strikes = _strike_frames(drawn, prior).tolist()
+    starts = [round(strike * (LEAST_FRAMES - frames) / (LEAST_FRAMES - 1)) for strike in strikes]
+    return torch.stack([each[start : start + frames] for each, start in zip(drawn, starts, strict=True)])
+
+
+def _strike_frames(drawn: Tensor, prior: MotionPrior) -> Tensor:
+    """The frame at which a hand or foot of each motion is fastest, (B,)."""
+    translation, orientation, body_pose = features.decode(drawn)
+    _, joints = forward_kinematics(local_rotations(orientation, body_pose), translation, prior.rest_joints)
+    ends = joints[:, :, [JOINT_NAMES.index(name) for name in ENDS]]
+    return ends.diff(dim=1).norm(dim=-1).amax(dim=-1).argmax(dim=-1)
 
 
 def sample_motions(
     distillation: ScoreDistillation, how: Sampling, frames: int, fps: float, seeds: Sequence[int]
 ) -> list[Motion]:
-    """One motion a seed drawn from the prior, on this body, from the origin facing +Y.
+    """One motion a seed drawn from the prior at its frame rate, resampled to `fps`, on this body, from the origin
+    facing +Y.
 
     Raises:
-        RunError: as `sample_features`.
+        InputError, RunError: as `sample_features`.
     """
-    drawn = sample_features(distillation, how, frames, seeds)
+    rate = distillation.prior.fps
+    drawn = sample_features(distillation, how, knots(frames, fps, rate), seeds)
     translation, orientation, body_pose = (part.cpu().numpy() for part in features.decode(drawn))
     translation = translation / distillation.leg_ratio + np.array([0, 0, distillation.sole_height], translation.dtype)
-    return [Motion(*parts, fps=fps) for parts in zip(translation, orientation, body_pose, strict=True)]
+    parts = zip(translation, orientation, body_pose, strict=True)
+    return [resampled(Motion(*each, fps=rate), frames, fps) for each in parts]

@@ -62,11 +62,11 @@ def test_a_strike_waits_for_what_falls_into_its_reach():
     """A ball thrown up passes 1.3 m twice; one that lies is met when the strike comes."""
     time = np.arange(40) / 20.0
     heights = 1.2 + 4.7 * time - 0.5 * 9.81 * time**2
-    later = delay(1.3, heights, meeting=20)
+    later = delay(1.3, heights, 20, 20.0)
     assert abs(heights[20 + later] - 1.3) < 0.15 and heights[20 + later] < heights[19 + later]
-    assert delay(0.4, np.full(40, 0.11), meeting=17) == 0
-    assert delay(0.0, -np.arange(40.0)[::-1], meeting=12) == 39 - 12
-    assert delay(0.0, np.arange(40.0), meeting=12) == SOONEST - 12
+    assert delay(0.4, np.full(40, 0.11), 17, 20.0) == 0
+    assert delay(0.0, -np.arange(40.0)[::-1], 12, 20.0) == 39 - 12
+    assert delay(0.0, np.arange(40.0), 12, 20.0) == round(20 * SOONEST) - 12
 
 
 @pytest.mark.parametrize("frames", [-5, 0, 7])

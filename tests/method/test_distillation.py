@@ -1,5 +1,6 @@
 """HMSD: its gradient, its sign, its seed."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,8 @@ from bodies import cloud_of
 from hoi.body.kinematics import leg_length
 from hoi.body.skinning import stand_motion
 from hoi.data import Body
-from hoi.method.hmsd import PoseParameters, ScoreDistillation, optimise
+from hoi.method.hmsd import ScoreDistillation, optimise
+from hoi.method.pose import PoseParameters, knots
 from hoi.motion import features
 from hoi.reports import Stage
 
@@ -43,11 +45,17 @@ def skeleton() -> np.ndarray:
 
 def distillation_towards(goal: torch.Tensor, rest_joints, dtype=torch.float32) -> ScoreDistillation:
     """A prior that knows one motion: X0_hat is `goal` whatever it is shown."""
+
+    def predict_x0(x_t, t, text, guidance, rescale) -> torch.Tensor:
+        short = x_t.shape[1] - len(goal)  # a motion that is too short is shown with its ends held
+        held = [goal[:1]] * (short // 2) + [goal] + [goal[-1:]] * (short - short // 2)
+        return torch.cat(held).expand_as(x_t).to(x_t)
+
     prior = SimpleNamespace(
         rest_joints=torch.as_tensor(rest_joints, dtype=dtype),
         normalise=lambda raw: raw,
         alphas_cumprod=torch.linspace(0.99, 0.01, 100, dtype=dtype),
-        predict_x0=lambda x_t, t, text, guidance, rescale: goal.expand_as(x_t).to(x_t),
+        predict_x0=predict_x0,
     )
     return ScoreDistillation(prior, torch.zeros(1, 4), 1.0, 0.02, 7.5, 0.0, 0, 100)  # pyright: ignore[reportArgumentType]
 
@@ -114,3 +122,30 @@ def test_weight_is_one_minus_alpha_bar(body):
 
 def test_leg_length(body):
     assert float(leg_length(torch.as_tensor(body.rest_joints))) == pytest.approx(0.08 + 0.4 + 0.4 + 0.06)
+
+
+def test_at_another_frame_rate_what_x_changes_is_added(body):
+    """The motion keeps its own detail where X has not changed it, and shows what X changes smoothly."""
+    rng = np.random.default_rng(0)
+    motion = stand_motion(body, 121, 60.0)
+    motion = replace(motion, body_pose=motion.body_pose + 0.01 * rng.standard_normal(motion.body_pose.shape))
+    pose = PoseParameters.of([motion], dtype=torch.float64, rate=20.0)
+    assert pose.body_pose.shape[1] == 40
+    (same,) = pose.motions(60.0)
+    np.testing.assert_allclose(same.body_pose, motion.body_pose, atol=1e-6)
+    time = torch.arange(40, dtype=torch.float64) / 20
+    pose.body_pose.data[..., 3, 0] += 0.2 * torch.sin(3 * time)
+    pose.root.data[..., 1] += 0.05
+    (moved,) = pose.motions(60.0)
+    expected = 0.2 * np.sin(3 * np.arange(121) / 60)
+    np.testing.assert_allclose(moved.body_pose[:, 3, 0] - motion.body_pose[:, 3, 0], expected, atol=2e-3)
+    np.testing.assert_allclose(moved.translation[:, 1], np.arange(121) / 60, atol=1e-5)
+    assert moved.fps == 60.0
+    goal = pose.joints(torch.as_tensor(body.rest_joints, dtype=torch.float64))[0, :, 11].square().sum()
+    goal.backward()
+    assert all(leaf.grad is not None and bool(leaf.grad.any()) for leaf in (pose.root, pose.orientation))
+
+
+@pytest.mark.parametrize(("frames", "fps", "count"), [(40, 20.0, 40), (120, 60.0, 40), (60, 30.0, 40), (2, 60.0, 3)])
+def test_x_covers_the_motion_at_the_priors_rate(frames, fps, count):
+    assert knots(frames, fps, 20.0) == count

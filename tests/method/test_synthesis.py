@@ -8,7 +8,8 @@ import pytest
 from hoi.body.skinning import joint_paths, posed_means
 from hoi.config.validate import to_config
 from hoi.errors import RunError
-from hoi.method.hmsd import sample_motions
+from hoi.method.hmsd import sample_motions, synthesise
+from hoi.reports import Stage
 from hoi.runner.scene import build_scene
 from hoi.stages.motion.hmsd import HMSD
 from hoi.streams import stream_seed
@@ -49,3 +50,24 @@ def test_sample_that_is_not_finite_fails_the_run(composed):
     distillation = conf.prior(scene, "cpu", False)
     with pytest.raises(RunError, match="not finite; lower"):
         sample_motions(distillation, replace(conf, sample_guidance=np.inf).sampling, scene.frames, scene.fps, [0])
+
+
+@pytest.mark.parametrize(("fps", "frames"), [(60.0, 120), (30.0, 60), (30.0, 40), (60.0, 40)])
+def test_a_scene_of_another_frame_rate_has_the_same_speeds(composed, fps, frames):
+    """What the prior draws is resampled, not relabelled; a scene too short for all of it shows its strike."""
+    config = to_config(composed("human.gaussians=2000", "scene.contact_frame=2"))
+    scene, conf = build_scene(config), config.stage.motion
+    assert isinstance(conf, HMSD)
+    distillation = conf.prior(scene, "cpu", False)
+    seeds = [0, 1, 2]
+    own = sample_motions(distillation, conf.sampling, 40, 20.0, seeds)
+    other = sample_motions(distillation, conf.sampling, frames, fps, seeds)
+    stages = [Stage("motion", lambda units: None, [])] * len(seeds)
+    other = synthesise(distillation, other, seeds, stages, iterations=10, learning_rate=0.005)
+
+    def fastest(motions) -> np.ndarray:
+        steps = [np.diff(joint_paths(scene.body, motion)[:, 11], axis=0) for motion in motions]
+        return np.array([np.linalg.norm(step, axis=1).max() for step in steps]) * motions[0].fps
+
+    assert all(len(motion) == frames and motion.fps == fps for motion in other)
+    np.testing.assert_allclose(fastest(other), fastest(own), rtol=0.2)
