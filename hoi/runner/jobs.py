@@ -78,15 +78,19 @@ def begin(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None, 
     return Walk(config, plan, Batch(scenes, seeds, device), move, stages, states, recall=recall)
 
 
-def rehearse(config: Config, plan: Plan, bar: Bar, shelf: Shelf) -> Iterator[Run]:
+def rehearse(config: Config, plan: Plan, bar: Bar, shelf: Shelf, overrides: list[str]) -> Iterator[Run]:
     """One run as far as it has come: with the person's motion, then with the object's answer too. Nothing is written.
+
+    Args:
+        shelf: where what it shares with others is found and kept.
+        overrides: the command line of the config, for its record.
 
     Raises:
         InputError, RunError: as `run`.
     """
     started = time.perf_counter()
     text = OmegaConf.to_yaml(OmegaConf.structured(config), resolve=True)
-    job = Job(config, None, text, provenance(OmegaConf.structured(config), []))
+    job = Job(config, None, text, provenance(OmegaConf.structured(config), overrides))
     with torch_threads(config.threads):
         walk = begin([job], plan, bar, None, shelf)
         walk.synthesise()
