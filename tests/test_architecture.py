@@ -16,7 +16,7 @@ from tests.conftest import ROOT, listed_slow
 
 COMPILERS = {"taichi", "quadrants"}
 ROOMS = """
-    hoi errors streams callable
+    hoi errors streams callable adam
     data files compute
     frames reports gaussians mpm
     terminal body objects
@@ -28,7 +28,7 @@ ROOMS = """
     config
     plan
     runner
-    run api __main__ hydra_plugins
+    run api live __main__ hydra_plugins
     analysis
 """
 """From the lowest to the highest: a room imports from the lines above its own only. A room is a folder or a module in

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hoi.adam import Adam
 from hoi.body.kinematics import forward_kinematics, leg_length, local_rotations
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import sole_height
@@ -145,15 +146,14 @@ def optimise(
     Raises:
         RunError: a loss or X is not finite.
     """
-    optimiser = torch.optim.Adam(pose.leaves(), lr=learning_rate)
+    adam = Adam(pose.leaves(), learning_rate)
     for iteration in range(iterations):
         left = (iterations - iteration) / (decay * iterations) if decay else 1.0
-        optimiser.param_groups[0]["lr"] = learning_rate * min(left, 1.0)
-        optimiser.zero_grad()
+        adam.learning_rate = learning_rate * min(left, 1.0)
         terms = losses()
         total = torch.stack([(weights[name] * value).sum() for name, value in terms.items()]).sum()
-        total.backward()
-        optimiser.step()
+        adam.gradients_of(total)
+        adam.step()
         if not bool(total.isfinite()):
             raise RunError(
                 f"the motion is not finite after {iteration} iterations; lower the guidance or learning rate"

@@ -1,11 +1,11 @@
 """The three stages, one after the other, over a plan (paper, Optimization)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hoi.body.skinning import stand_motion
-from hoi.data import Motion, ObjectState, Plan, Scene, State
+from hoi.data import Motion, ObjectState, ObjectTrajectory, Plan, Scene, State, Target
 from hoi.errors import under
 from hoi.method.approach import approach, hastened
 from hoi.method.attraction import Batch, coordinate
@@ -15,6 +15,17 @@ from hoi.reports import Stages, shared_stage
 
 if TYPE_CHECKING:
     from hoi.config import Config
+
+Recall = Callable[[str, Callable[[], Any]], tuple[Any, bool]]
+"""(step, what computes it) -> what comes of the step, and whether it was known."""
+
+
+RECALLED = "as an earlier run of the same settings had it"
+
+
+def computed_anew(step: str, compute: Callable[[], Any]) -> tuple[Any, bool]:
+    """Knows nothing."""
+    return compute(), False
 
 
 @dataclass
@@ -34,7 +45,9 @@ class Walk:
     restarts: tuple[ObjectState, ...] = ()
     """The object's state at each frame of its free motion, for the re-simulation."""
     distillation: ScoreDistillation | None = None
-    """The motion prior, where the plan uses it."""
+    """The motion prior, where the plan uses it; loaded when it is first needed."""
+    recall: Recall = computed_anew
+    """Finds what another walk has computed: "free motion", "motion", "coordinate", "resimulate"."""
 
     def synthesise(self) -> None:
         """Agent Motion Synthesis: the object's free motion, and the human's, distilled from the motion prior.
@@ -46,19 +59,24 @@ class Walk:
         plan, scenes, options = self.plan, self.batch.scenes, self.config.stage
         motions = [stand_motion(scene.body, scene.frames, scene.fps) for scene in scenes]
 
-        with shared_stage(self.stages, "free motion", scenes[0].frames - 1) as (stage, *others):
-            move = self.move if plan.keeps("free_motion") else at_rest
-            trajectory, self.restarts = free_motion(scenes[0], move, stage)
-            for other in others:
-                other.numbers.update(stage.numbers)
-                other.notes.extend(stage.notes)
+        def moved() -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
+            with shared_stage(self.stages, "free motion", scenes[0].frames - 1) as (stage, *others):
+                move = self.move if plan.keeps("free_motion") else at_rest
+                found = free_motion(scenes[0], move, stage)
+                for other in others:
+                    other.numbers.update(stage.numbers)
+                    other.notes.extend(stage.notes)
+            return found
+
+        def distilled() -> Sequence[Motion]:
+            with shared_stage(self.stages, "motion", options.motion.units()) as each:
+                alone = replace(scenes[0], object=None, planes=())  # of nothing else it may depend
+                return options.motion.motions(alone, self._prior(), self.batch.seeds, each)
+
+        trajectory, self.restarts = self._recalled("free motion", self.stages, moved)
         self.states = [State(motion, trajectory) for motion in motions]
         if plan.keeps("motion"):
-            with shared_stage(self.stages, "motion", options.motion.units()) as each:
-                if "motion_prior" in plan.uses:
-                    stand = self.config.scene.approach == "stand"
-                    self.distillation = options.motion.prior(scenes[0], self.batch.device, stand)
-                self._move(options.motion.motions(scenes[0], self.distillation, self.batch.seeds, each))
+            self._move(self._recalled("motion", self.stages, distilled))
 
     def coordinate(self) -> None:
         """Windowed attraction: the person meets the object.
@@ -67,13 +85,20 @@ class Walk:
             InputError: the person would start inside the object.
             RunError: the motion is not finite.
         """
-        plan, options = self.plan, self.config.stage
-        self.states = [self.aimed(scene, state) for scene, state in zip(self.batch.scenes, self.states, strict=True)]
-        if plan.keeps("coordinate"):
-            attraction = options.attraction.term(self.batch, self.states) if "attraction" in plan.uses else None
-            with shared_stage(self.stages, "coordinate", options.coordinate.iterations) as each:
-                settings = vars(options.coordinate)
-                self._move(coordinate(self.batch, self.states, self.distillation, attraction, each, **settings))
+        options, before = self.config.stage, self.states
+
+        def attracted() -> list[tuple[Motion, Target | None]]:
+            self.states = [self.aimed(scene, state) for scene, state in zip(self.batch.scenes, before, strict=True)]
+            if self.plan.keeps("coordinate"):
+                pulls = "attraction" in self.plan.uses
+                attraction = options.attraction.term(self.batch, self.states) if pulls else None
+                with shared_stage(self.stages, "coordinate", options.coordinate.iterations) as each:
+                    settings = vars(options.coordinate)
+                    self._move(coordinate(self.batch, self.states, self._prior(), attraction, each, **settings))
+            return [(state.motion, state.target) for state in self.states if state.motion is not None]
+
+        met = self._recalled("coordinate", self.stages, attracted)
+        self.states = [replace(s, motion=motion, target=aim) for s, (motion, aim) in zip(before, met, strict=True)]
 
     def interact(self, run: int) -> None:
         """The object answers, the contact looks right: the rest of one run.
@@ -83,26 +108,30 @@ class Walk:
         """
         scene, stages, options = self.batch.scenes[run], self.stages[run], self.config.stage
         state = self.states[run]
-        assert state.motion is not None and state.trajectory is not None
+        motion, trajectory = state.motion, state.trajectory
+        assert motion is not None and trajectory is not None
 
         # Contact detection and re-simulation.
-        if self.plan.keeps("contact"):
+        def answered() -> State:
             model = options.contact.beside(options.object)
             with stages.stage("contact", 1):
                 together = state.target.joints if state.target else ()
-                search = model.search(scene, state.motion, state.trajectory, together)
-            self.states[run] = state = replace(state, contact=search)
+                search = model.search(scene, motion, trajectory, together)
+            self.states[run] = found = replace(state, contact=search)
             if (push := search.push) is not None:
                 with stages.stage("resimulate", scene.frames - int(push.frame)) as stage:
-                    state = model.answer(scene, state, self.restarts, self.move, stage)
-                self.states[run] = state
+                    found = model.answer(scene, found, self.restarts, self.move, stage)
+            return found
+
+        if self.plan.keeps("contact"):
+            self.states[run] = state = self._recalled("resimulate", [stages], answered)
 
         # Video-SDS for Contact Fidelity: theta of the frames around contact; the object's trajectory is held fixed.
         if self.plan.keeps("refine"):
             config = replace(self.config, seed=self.batch.seeds[run])
             with stages.stage("refine", options.refine.units()) as stage:
-                motion = options.refine.refine(scene, state, config, self.batch.device, stage)
-            self.states[run] = replace(state, motion=motion)
+                refined = options.refine.refine(scene, state, config, self.batch.device, stage)
+            self.states[run] = replace(state, motion=refined)
 
     def aimed(self, scene: Scene, state: State) -> State:
         """j* and t*, and the motion from where and when it has to start for its strike to meet the object."""
@@ -115,6 +144,27 @@ class Walk:
             with under("scene"):
                 motion, target = approach(scene, motion, trajectory, target, self.config.scene.meeting_height)
         return replace(state, motion=motion, target=target)
+
+    def _prior(self) -> ScoreDistillation | None:
+        if self.distillation is None and self.plan.keeps("motion") and "motion_prior" in self.plan.uses:
+            stand = self.config.scene.approach == "stand"
+            self.distillation = self.config.stage.motion.prior(self.batch.scenes[0], self.batch.device, stand)
+        return self.distillation
+
+    def _recalled(self, step: str, runs: Sequence[Stages], compute: Callable[[], Any]) -> Any:
+        """What comes of a step, and what its stages said: recalled, or computed."""
+        before = [(len(run.reports), len(run.history)) for run in runs]
+
+        def made() -> tuple[Any, list[Any]]:
+            found = compute()
+            return found, [(run.reports[r:], run.history[h:]) for run, (r, h) in zip(runs, before, strict=True)]
+
+        (found, said), known = self.recall(step, made)
+        if known:
+            for run, (reports, history) in zip(runs, said, strict=True):
+                run.reports += [replace(each, seconds=0.0, notes=(*each.notes, RECALLED)) for each in reports]
+                run.history += history
+        return found
 
     def _move(self, motions: Sequence[Motion]) -> None:
         self.states = [replace(s, motion=motion) for s, motion in zip(self.states, motions, strict=True)]

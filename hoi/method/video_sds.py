@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from hoi.adam import Adam
 from hoi.data import Motion, ObjectTrajectory, Scene, State
 from hoi.errors import RefineStopped
 from hoi.refine.clip import Clip, across, contact_framing, viewpoints
@@ -167,18 +168,17 @@ def video_sds(
     rows = torch.tensor(window.frames, device=device)
     other_losses = others(pose) if others is not None else dict
 
-    optimiser = torch.optim.Adam([pose.offset], lr=learning_rate)
+    adam = Adam([pose.offset], learning_rate)
     for iteration in range(iterations):
         camera = views[draws.viewpoint(len(views))]
         t = draws.timestep(timesteps.t_min, timesteps.latest(iteration))
         z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
         residual = distil(z, draws.noise(z), t, prior, guidance, rescale)
         terms = {"sds": residual.loss.to(pose.offset), **other_losses()}
-        optimiser.zero_grad()
-        torch.stack(list(terms.values())).sum().backward()
+        adam.gradients_of(torch.stack(list(terms.values())).sum())
         if pose.offset.grad is None or not bool(pose.offset.grad.isfinite().all()):
             raise RefineStopped(f"the gradient of Video-SDS is not finite at iteration {iteration}; {REMEDY}")
-        optimiser.step()
+        adam.step()
         losses = {name: float(term.detach()) for name, term in terms.items()}
         stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
         if enough is not None and enough(pose.motion()):

@@ -158,9 +158,11 @@ def played(f0, f1, f2, j, p, materials: ti.template(), row, play):
     least, steepness = materials[3 * row + 2][2], materials[3 * row + 2][3]
     s, kept = 1.0, 0.0
     if steepness > 0.0:
-        f = matrix(f0, f1, f2)
-        strain = f @ f.transpose() - ti.Matrix.identity(float, 3)
-        psi = 0.25 * p[MU] * strain.norm_sqr() + 0.5 * ti.max(p[LAM], 0.0) * (j - 1.0) ** 2
+        b0 = f0[0] * f0 + f1[0] * f1 + f2[0] * f2 - ti.Vector([1.0, 0.0, 0.0, 0.0])
+        b1 = f0[1] * f0 + f1[1] * f1 + f2[1] * f2 - ti.Vector([0.0, 1.0, 0.0, 0.0])
+        b2 = f0[2] * f0 + f1[2] * f1 + f2[2] * f2 - ti.Vector([0.0, 0.0, 1.0, 0.0])
+        sheared = b0.dot(b0) + b1.dot(b1) + b2.dot(b2)
+        psi = 0.25 * p[MU] * sheared + 0.5 * ti.max(p[LAM], 0.0) * (j - 1.0) ** 2
         level = steepness * ti.log(1.0 + psi / (LEAST_ENERGY * p[MU]))
         s = ti.min(ti.max(1.0 - play + level, least), 1.0)
         kept = 1.0 - s + level

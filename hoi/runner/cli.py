@@ -31,7 +31,7 @@ COMMANDS = {
         "sample": Command("hoi.runner.sample", "a motion from a sentence: .npz, or a record to look at"),
     },
     "Look": {
-        "view": Command("hoi.view", "runs in the browser, in 3D; two side by side"),
+        "view": Command("hoi.view", "runs in the browser, in 3D; two side by side; --live: one that is being set up"),
         "video": Command("hoi.render.video", "a video or filmstrip from any side; runs side by side"),
         "strip": Command("analysis.strip", "one picture of a run: frames, contact, speeds"),
         "layouts": Command("hoi.view.layouts", "how Foxglove and Rerun show a record"),
@@ -79,6 +79,9 @@ COMMANDS = {
 INSIDE = "hoi." if (Path(__file__).parents[1] / "analysis").is_dir() else ""
 """A wheel carries the folder `analysis` in the package, as it does `conf`; in a checkout it stands beside it."""
 
+LIVE = "--live"
+"""`hoi view --live` is `python -m hoi.live`."""
+
 COMPLETION = ("-sc", "--shell-completion")
 """Hydra's flags."""
 
@@ -123,6 +126,8 @@ def main() -> None:
         _complete([first, *rest])
     elif first == "run" and rest[:1] and rest[0] in COMPLETION:
         _complete(rest)
+    elif first == "view" and LIVE in rest:
+        _become("hoi.live", [word for word in rest if word != LIVE])
     elif first in modules():
         _become(modules()[first], rest)
     else:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from omegaconf import OmegaConf
 
 from hoi.body.parts import is_with, struck_together
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
@@ -22,11 +23,13 @@ from hoi.data import Array, Plan, Run, Scene, SceneObject, StageReport, State
 from hoi.errors import InputError, RunError
 from hoi.gaussians import colours
 from hoi.method.attraction import REACHED, Batch
-from hoi.method.optimization import Walk
+from hoi.method.optimization import Walk, computed_anew
 from hoi.plan import format_plan
 from hoi.record import Footage, write
 from hoi.reports import Bar, Stages, no_bar
+from hoi.runner.provenance import provenance
 from hoi.runner.scene import build_scene
+from hoi.runner.shelf import Shelf
 
 if TYPE_CHECKING:
     from hoi.render.encode import Video
@@ -63,15 +66,45 @@ def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject |
         return _run(jobs, plan, bar, thing)
 
 
-def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -> list[Run]:
-    started = time.perf_counter()
+def begin(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None, shelf: Shelf | None) -> Walk:
+    """The walk of the jobs, not begun. What `thing` is no key of the config says: nothing of it is shared."""
     config = jobs[0].config
     device, threads = pick_device(config.device), config.threads or os.cpu_count() or 1
     config.render.check_machine()
+    seeds = [job.config.seed for job in jobs]
     scenes = [build_scene(job.config, plan, thing=thing) for job in jobs]
-    batch = Batch(scenes, [job.config.seed for job in jobs], device)
     move = config.stage.object.mover(config.object.size, threads, device)
-    walk, failure = Walk(config, plan, batch, move, [Stages(bar) for _ in jobs], [State() for _ in jobs]), None
+    recall = computed_anew if shelf is None or thing is not None else shelf.recall(config, plan, seeds)
+    stages, states = [Stages(bar) for _ in jobs], [State() for _ in jobs]
+    return Walk(config, plan, Batch(scenes, seeds, device), move, stages, states, recall=recall)
+
+
+def rehearse(config: Config, plan: Plan, bar: Bar, shelf: Shelf, overrides: list[str]) -> Iterator[Run]:
+    """One run as far as it has come: with the person's motion, then with the object's answer too. Nothing is written.
+
+    Args:
+        shelf: where what it shares with others is found and kept.
+        overrides: the command line of the config, for its record.
+
+    Raises:
+        InputError, RunError: as `run`.
+    """
+    started = time.perf_counter()
+    text = OmegaConf.to_yaml(OmegaConf.structured(config), resolve=True)
+    job = Job(config, None, text, provenance(OmegaConf.structured(config), overrides))
+    with torch_threads(config.threads):
+        walk = begin([job], plan, bar, None, shelf)
+        walk.synthesise()
+        walk.coordinate()
+        yield so_far(walk, 0, job, result("going on", "", walk, time.perf_counter() - started))
+        walk.interact(0)
+        said = outcome(config, plan, walk.states[0], walk.stages[0].reports)
+        yield so_far(walk, 0, job, result("done", said, walk, time.perf_counter() - started))
+
+
+def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -> list[Run]:
+    started = time.perf_counter()
+    walk, failure = begin(jobs, plan, bar, thing, None), None
     try:
         walk.synthesise()
         walk.coordinate()
@@ -107,36 +140,43 @@ def finish(walk: Walk, number: int, job: Job, failure: Exception | None, shared:
     started = time.perf_counter()
     config, scene, stages = job.config, walk.batch.scenes[number], walk.stages[number]
     video = footage = None
-
-    def so_far(result: dict[str, str]) -> Run:
-        reports, history = tuple(stages.reports), tuple(stages.history)
-        state = walk.states[number]
-        return Run(job.config_yaml, job.provenance, result, walk.plan, reports, history, scene, state)
-
     try:
         if failure is None:
             walk.interact(number)
             if walk.plan.keeps("render"):
                 with stages.stage("render", scene.frames) as stage:
-                    video, footage = config.render.draw(so_far({}), walk.batch.device, stage)
+                    video, footage = config.render.draw(so_far(walk, number, job, {}), walk.batch.device, stage)
     except Exception as error:
         failure, video, footage = ending(error), None, None
-    state = walk.states[number]
-    finished = so_far(
-        {
-            "status": "failed" if failure else "done",
-            "outcome": told(failure) if failure else outcome(config, walk.plan, state, stages.reports),
-            "variant": walk.plan.variant,
-            "device": walk.batch.device,
-            "seconds": repr(shared + time.perf_counter() - started),
-            "peak_memory_mb": repr(peak_memory_mb()),
-        }
-    )
+    said = told(failure) if failure else outcome(config, walk.plan, walk.states[number], stages.reports)
+    seconds = shared + time.perf_counter() - started
+    finished = so_far(walk, number, job, result("failed" if failure else "done", said, walk, seconds))
     if job.path is not None:
         record(finished, job.path, config.human_points, video, footage)
         if job.tells:
             print(*scene.thing.notes, summary(finished.result), sep="\n", file=sys.stderr)
     return finished, failure
+
+
+def so_far(walk: Walk, number: int, job: Job, result: dict[str, str]) -> Run:
+    """A run of the walk, as far as it has come."""
+    stages = walk.stages[number]
+    return Run(
+        job.config_yaml, job.provenance, result, walk.plan, tuple(stages.reports), tuple(stages.history),
+        walk.batch.scenes[number], walk.states[number],
+    )  # fmt: skip
+
+
+def result(status: str, said: str, walk: Walk, seconds: float) -> dict[str, str]:
+    """What a record says came of a run."""
+    return {
+        "status": status,
+        "outcome": said,
+        "variant": walk.plan.variant,
+        "device": walk.batch.device,
+        "seconds": repr(seconds),
+        "peak_memory_mb": repr(peak_memory_mb()),
+    }
 
 
 def record(run: Run, path: Path, human_points: int, video: "Video | None", footage: Footage | None) -> None:

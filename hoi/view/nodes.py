@@ -73,7 +73,7 @@ class RunNodes:
         thing = moments.run.scene.object
         self._above = 0.0 if thing is None else 0.6 * thing.size  # where the speed is written [m]
         root = f"/{name}"
-        scene.add_frame(root, show_axes=False, position=np.asarray(offset))
+        self._root = scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         first = moments.at(0)
         self._splats = {part: _splats(scene, f"{root}/{part}", packed) for part, packed in first.items()}
         self._skeleton = self._trail = self._speed = self._particles = None
@@ -102,6 +102,10 @@ class RunNodes:
         self._planes = [_plane(scene, f"{root}/ground/{number}", plane) for number, plane in enumerate(marks.planes)]
         if label:
             scene.add_label(f"{root}/label", label, position=_above(marks), anchor="bottom-center")
+
+    def remove(self) -> None:
+        """Take the run out of the scene."""
+        self._root.remove()
 
     def show(self, frame: int, shown: Shown) -> None:
         """Draw a frame of the run."""

@@ -80,7 +80,7 @@ class Panel:
         return box
 
 
-def add_tabs(gui: viser.GuiApi, runs: Sequence[Run], labels: Sequence[str]) -> None:
+def add_tabs(gui: viser.GuiApi, runs: Sequence[Run], labels: Sequence[str]) -> viser.GuiTabGroupHandle:
     """Losses, plans and facts of the runs."""
     tabs = gui.add_tab_group()
     curves = curves_of(runs, labels)
@@ -94,6 +94,7 @@ def add_tabs(gui: viser.GuiApi, runs: Sequence[Run], labels: Sequence[str]) -> N
                 if len(runs) > 1:
                     gui.add_markdown(f"### {plain(label)}")
                 gui.add_markdown(words(run))
+    return tabs
 
 
 def _chart(gui: viser.GuiApi, curves: Curves) -> None:

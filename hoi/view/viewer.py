@@ -4,7 +4,7 @@ import contextlib
 import io
 import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,50 +28,69 @@ MARGIN = 1.0
 
 
 class Viewer:
-    """Runs in the browser. `stop` ends it."""
+    """Runs in the browser, side by side. `show` puts others in their place, `stop` ends it."""
 
-    def __init__(self, paths: Sequence[Path], host: str = "127.0.0.1", port: int = 8080, playing: bool = True) -> None:
-        """Reads the records, then listens.
+    def __init__(
+        self, all_moments: Sequence[Moments], labels: Sequence[str], host: str = "127.0.0.1", port: int = 8080,
+        playing: bool = True, controls: Callable[[viser.ViserServer], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Listens.
 
         Args:
+            all_moments: at least one run.
+            labels: one a run, written above it where there are several.
             port: 0 takes any that is free.
+            controls: puts more of them above those of the viewer.
 
         Raises:
-            InputError: as `hoi.view.moments.load`, or the port is taken.
+            InputError: the port is taken.
         """
         single_threaded()
         _check_port(host, port)
-        self._all = load(paths)
-        runs = [moments.run for moments in self._all]
-        labels = _labels(self._all, paths)
-        self.clock = common_clock([moments.replay for moments in self._all])
-        self.shown, self._drawing = Shown(), threading.RLock()
+        self.clock = common_clock([moments.replay for moments in all_moments])
+        self.shown, self._drawing, self._ended = Shown(), threading.RLock(), threading.Event()
         with contextlib.redirect_stdout(io.StringIO()):  # viser's banner
-            self.server = viser.ViserServer(
-                host, port, label=" · ".join(dict.fromkeys(r.scene.name for r in runs if r.scene)), verbose=False
-            )
+            names = dict.fromkeys(moments.run.scene.name for moments in all_moments if moments.run.scene)
+            self.server = viser.ViserServer(host, port, label=" · ".join(names), verbose=False)
         self.port = self.server.get_port()
         self.server.scene.configure_default_lights(cast_shadow=False)
-        marks = [marks_of(run) for run in runs]
-        largest = largest_impulse(tuple(contact for each in marks for contact in each.contacts))
-        offsets = _offsets(self._all)
-        self._place_camera(offsets)
-        self.nodes = [
-            RunNodes(self.server.scene, f"run{number}", moments, mark, offset, label if len(runs) > 1 else "", largest)
-            for number, (moments, mark, offset, label) in enumerate(zip(self._all, marks, offsets, labels, strict=True))
-        ]
+        self._place_camera(all_moments)
         self.player = Player(self.clock, self.draw)
         gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False)
+        if controls is not None:
+            controls(self.server)
+        self.nodes: list[RunNodes] = []
+        self._tabs: viser.GuiTabGroupHandle | None = None
+        self._preparing: threading.Thread | None = None
         self.panel = Panel(gui, self.clock, self.player, self.shown, self.draw)
-        add_tabs(gui, runs, labels)
-        self.draw(0)
+        self.show(all_moments, labels)
         self.player.start()
-        self._ended = threading.Event()
-        self._preparing = threading.Thread(target=self._prepare, daemon=True, name="prepare")
-        self._preparing.start()
         if playing and self.clock.frames > 1:
             self.panel.toggle()
+
+    def show(self, all_moments: Sequence[Moments], labels: Sequence[str]) -> None:
+        """These runs in place of the ones that are seen; they last as long."""
+        with self._drawing, self.server.atomic():
+            for nodes in self.nodes:
+                nodes.remove()
+            if self._tabs is not None:
+                self._tabs.remove()
+            runs = [moments.run for moments in all_moments]
+            marks = [marks_of(run) for run in runs]
+            largest = largest_impulse(tuple(contact for each in marks for contact in each.contacts))
+            offsets = _offsets(all_moments)
+            self._all = all_moments
+            self.nodes = [
+                RunNodes(self.server.scene, f"run{number}", moments, mark, offset, label, largest)
+                for number, (moments, mark, offset, label) in enumerate(
+                    zip(all_moments, marks, offsets, labels if len(runs) > 1 else [""], strict=True)
+                )
+            ]
+            self._tabs = add_tabs(self.server.gui, runs, labels)
+            self.draw(self.panel.frame)
+        self._preparing = threading.Thread(target=self._prepare, args=[all_moments], daemon=True, name="prepare")
+        self._preparing.start()
 
     def draw(self, frame: int) -> None:
         """Show a frame of the clock in all runs at once."""
@@ -84,19 +103,21 @@ class Viewer:
         """End the player and the server."""
         self._ended.set()
         self.player.stop()
-        self._preparing.join()  # torch may not be at work when Python ends
+        if self._preparing is not None:
+            self._preparing.join()  # torch may not be at work when Python ends
         with contextlib.redirect_stdout(io.StringIO()):  # viser's good-bye
             self.server.stop()
 
-    def _prepare(self) -> None:
-        """Work out the frames before they are played, so far as there is room for them."""
-        for moments in self._all:
+    def _prepare(self, all_moments: Sequence[Moments]) -> None:
+        """Work out the frames before they are played, so far as there is room for them and they are seen."""
+        for moments in all_moments:
             for frame in range(moments.replay.frames):
-                if self._ended.is_set() or not moments.prepare(frame):
+                if self._ended.is_set() or self._all is not all_moments or not moments.prepare(frame):
                     break
 
-    def _place_camera(self, offsets: Sequence[Array]) -> None:
-        points = [moments.replay.action().points() for moments in self._all]
+    def _place_camera(self, all_moments: Sequence[Moments]) -> None:
+        offsets = _offsets(all_moments)
+        points = [moments.replay.action().points() for moments in all_moments]
         seen = np.concatenate([each + offset for each, offset in zip(points, offsets, strict=True)])
         (width, height), direction = WINDOW, ALONE if len(offsets) == 1 else TOGETHER
         camera = frame_action(seen, direction, width=width - PANEL, height=height)
@@ -106,6 +127,18 @@ class Viewer:
         start.fov = FOV_Y
         start.position = tuple(eye)
         start.look_at = tuple(eye + distance * camera.forward)
+
+
+def of_records(paths: Sequence[Path], host: str = "127.0.0.1", port: int = 8080, playing: bool = True) -> Viewer:
+    """A viewer of finished runs.
+
+    Raises:
+        InputError: as `hoi.view.moments.load`, or the port is taken.
+    """
+    single_threaded()
+    _check_port(host, port)  # before the records are read
+    all_moments = load(paths)
+    return Viewer(all_moments, _labels(all_moments, paths), host, port, playing)
 
 
 def _check_port(host: str, port: int) -> None:

@@ -271,9 +271,9 @@ def test_losses_by_stage_and_run(demo):
 @pytest.fixture(scope="module")
 def viewer(files) -> Iterator:
     pytest.importorskip("viser", reason="needs hoi[view]")
-    from hoi.view.viewer import Viewer
+    from hoi.view.viewer import of_records
 
-    made = Viewer(files, port=0, playing=False)
+    made = of_records(files, port=0, playing=False)
     yield made
     made.stop()
 
@@ -371,13 +371,13 @@ def test_playing_goes_through_the_frames(viewer):
 
 def test_people_or_objects_alone(demo, tmp_path):
     pytest.importorskip("viser", reason="needs hoi[view]")
-    from hoi.view.viewer import Viewer
+    from hoi.view.viewer import of_records
 
     state = demo[0].state
     alone = save(demo, tmp_path / "person.mcap", state=replace(state, trajectory=None, contact=None))
     thing = tmp_path / "object.mcap"
     record.write(replace(demo[0], state=replace(state, motion=None)), thing, None, None, plan_text="")
-    made = Viewer([alone, thing], port=0, playing=False)
+    made = of_records([alone, thing], port=0, playing=False)
     made.draw(FRAMES - 1)
     assert [list(nodes._splats) for nodes in made.nodes] == [["person"], ["object"]]
     made.stop()
@@ -385,12 +385,12 @@ def test_people_or_objects_alone(demo, tmp_path):
 
 def test_one_frame_and_no_contact(demo, tmp_path):
     pytest.importorskip("viser", reason="needs hoi[view]")
-    from hoi.view.viewer import Viewer
+    from hoi.view.viewer import of_records
 
     run, points, colours = make_run(frames=1, points=100, gaussians=20, particles=30)
     still = replace(run.state, contact=ContactSearch((), 0.2, 0.0, 3))
     record.write(replace(run, state=still), tmp_path / "one.mcap", points, colours, plan_text="")
-    made = Viewer([tmp_path / "one.mcap"], port=0)
+    made = of_records([tmp_path / "one.mcap"], port=0)
     assert made.clock.frames == 1 and not made.player.playing
     made.stop()
 

@@ -222,11 +222,11 @@ def test_the_page_can_be_turned_around(shown):
 
 def test_the_viewer_plays_in_the_browser(browser, demo, tmp_path):
     pytest.importorskip("viser", reason="needs hoi[view]")
-    from hoi.view.viewer import Viewer
+    from hoi.view.viewer import of_records
 
     run, points, colours = demo
     record.write(run, tmp_path / "run.mcap", points, colours, plan_text="")
-    viewer = Viewer([tmp_path / "run.mcap"], port=0, playing=False)
+    viewer = of_records([tmp_path / "run.mcap"], port=0, playing=False)
     viewer.panel.switches["ground"].value = False  # an endless floor takes long without a GPU
     try:
         browser.get(f"http://localhost:{viewer.port}")
