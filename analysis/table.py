@@ -45,7 +45,7 @@ TOGETHER = 8
 """With fewer records than this, one process reads them."""
 
 
-def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
+def collect(folder: Path, jobs: int = 1, kept: Path | None = None) -> pd.DataFrame:
     """One row a record below `folder`: `FACTS`, then the metrics and learned scores, NaN where a run has none.
 
     A record that cannot be read is a row of status "unreadable", with the reason. A failed run whose folder also holds
@@ -53,19 +53,29 @@ def collect(folder: Path, jobs: int = 1) -> pd.DataFrame:
 
     Args:
         jobs: processes that read; the rows do not depend on it.
+        kept: folder of an earlier table: records that have not changed since are not read again.
 
     Raises:
         InputError: no such folder, or no record in it.
     """
     import pandas as pd
 
+    from . import kept_rows
     from .metrics import METRICS
     from .records import find
 
     files = find(folder)
     if not files:
         raise InputError(f"{folder}: no run.mcap below it")
-    rows = each(partial(_row, folder), files, jobs)
+    known = {} if kept is None else kept_rows.load(kept)
+    identities = [kept_rows.identity(path) for path in files]
+    unread = [path for path, identity in zip(files, identities, strict=True) if identity not in known]
+    read = dict(zip(unread, each(partial(_row, folder), unread, jobs), strict=True))
+    rows = [read.get(path) or known[identity] for path, identity in zip(files, identities, strict=True)]
+    if kept is not None and unread:
+        whole = zip(identities, rows, strict=True)
+        kept_rows.save(kept, {identity: row for identity, row in whole if row["status"] != UNREADABLE})
+    rows = [_scored(folder, path, row) for path, row in zip(files, rows, strict=True)]
     places = [(str(Path(str(row["path"])).parent), row["config_hash"]) for row in rows]
     done = {place for row, place in zip(rows, places, strict=True) if row["status"] == DONE}
     kept = [row for row, place in zip(rows, places, strict=True) if row["status"] != FAILED or place not in done]
@@ -140,12 +150,18 @@ def _row(folder: Path, path: Path) -> dict[str, object]:
     except Exception as error:  # a file that passes every check and still trips a metric must not take the table along
         reason = f"{path} is damaged: {type(error).__name__}: {' '.join(str(error).split())[:200]}"
         return _unreadable(row["path"], _told(reason, folder))
-    row["status"] = DONE
+    return row | {"status": DONE}
+
+
+def _scored(folder: Path, path: Path, row: dict[str, object]) -> dict[str, object]:
+    """The row of the record at `path`, with its learned scores."""
+    row = row | {"path": path.relative_to(folder).as_posix()}
+    if row["status"] != DONE:
+        return row
     try:
-        row |= read_scores(path) if sidecar_path(path).is_file() else {}
+        return row | (read_scores(path) if sidecar_path(path).is_file() else {})
     except InputError as error:
-        row["warning"] = _told(error, folder)
-    return row
+        return row | {"warning": _told(error, folder)}
 
 
 def _unreadable(path: object, reason: str) -> dict[str, object]:
@@ -178,10 +194,11 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
     from .writers import as_text, shown, write_tables
 
     try:
-        runs = collect(options.folder, options.jobs)
+        out = options.out or options.folder / "table"
+        runs = collect(options.folder, options.jobs, kept=out)
         opinions = None if options.mos is None else read_opinions(options.mos)
         summary = summarise(runs, options.by)
-        files = write_tables(options.out or options.folder / "table", runs, summary, options.by, opinions)
+        files = write_tables(out, runs, summary, options.by, opinions)
     except (InputError, OSError) as error:
         print(f"analysis.table: {error}", file=sys.stderr)
         return 2

@@ -8,6 +8,9 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobReturn
 
+LATE = ("ablation", "stage", "render")
+"""Keys of what acts late in a run: they vary fastest, so that runs with a beginning in common follow on each other."""
+
 
 class HoiSweeper(BasicSweeper):
     """All combinations of what is listed, one run each; nothing is written but what the runs write."""
@@ -24,6 +27,7 @@ class HoiSweeper(BasicSweeper):
         assert self.launcher is not None and self.hydra_context is not None
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
         overrides = parser.parse_overrides([*self._parse_config(), *arguments])
+        overrides.sort(key=lambda override: override.get_key_element().startswith(LATE))
         results: list[Sequence[JobReturn]] = []
         count = 0
         for batch in self.split_arguments(overrides, self.max_batch_size):

@@ -20,7 +20,7 @@ Recall = Callable[[str, Callable[[], Any]], tuple[Any, bool]]
 """(step, what computes it) -> what comes of the step, and whether it was known."""
 
 
-RECALLED = "as an earlier run of the same settings had it"
+RECALLED = "as an earlier run of the same settings computed it, in that time"
 
 
 def computed_anew(step: str, compute: Callable[[], Any]) -> tuple[Any, bool]:
@@ -162,7 +162,7 @@ class Walk:
         (found, said), known = self.recall(step, made)
         if known:
             for run, (reports, history) in zip(runs, said, strict=True):
-                run.reports += [replace(each, seconds=0.0, notes=(*each.notes, RECALLED)) for each in reports]
+                run.reports += [replace(each, notes=(*each.notes, RECALLED)) for each in reports]
                 run.history += history
         return found
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
@@ -21,13 +22,19 @@ from hoi.reports import no_bar
 from hoi.stages.render.none import NoVideo
 from hoi.terminal.interrupt import gone_when_left
 
+if TYPE_CHECKING:
+    from hoi.runner.shelf import Shelf
+
 RECORD, FAILED, LOCK = "run.mcap", "run.failed.mcap", ".lock"
 
 
-def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
+def execute(composed: DictConfig, overrides: list[str], shelf: "Shelf | None" = None) -> list[Path]:
     """The run of a composed config, or its runs, one a seed.
 
     A folder that another process computes into is waited for.
+
+    Args:
+        shelf: where what it has in common with other runs is found and kept.
 
     Returns:
         the records; none of a plan alone.
@@ -65,7 +72,7 @@ def execute(composed: DictConfig, overrides: list[str]) -> list[Path]:
         from hoi.terminal.progress import bar
 
         jobs = [Job(*each) for each in to_do]
-        run(jobs, plan, bar)
+        run(jobs, plan, bar, shelf=shelf)
     for _, path, *_ in to_do:
         print(f"recorded {path}")
         if plan.keeps("render"):

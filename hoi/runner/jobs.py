@@ -2,11 +2,12 @@
 
 import math
 import os
+import re
 import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ from hoi.data import Array, Plan, Run, Scene, SceneObject, StageReport, State
 from hoi.errors import InputError, RunError
 from hoi.gaussians import colours
 from hoi.method.attraction import REACHED, Batch
-from hoi.method.optimization import Walk, computed_anew
+from hoi.method.optimization import RECALLED, Walk, computed_anew
 from hoi.plan import format_plan
 from hoi.record import Footage, write
 from hoi.reports import Bar, Stages, no_bar
@@ -48,12 +49,15 @@ class Job:
     """Whether stderr is told what came of it."""
 
 
-def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject | None = None) -> list[Run]:
+def run(
+    jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject | None = None, shelf: Shelf | None = None
+) -> list[Run]:
     """Walk the method with each job. The jobs differ in nothing but seed and path; those with a path are recorded.
 
     Args:
         bar: shows how a stage goes on.
         thing: the object, in place of the one that the config names.
+        shelf: where what they have in common with other runs is found and kept.
 
     Raises:
         InputError: the config asks for what this machine has not, or a file turned out to be unusable.
@@ -63,7 +67,7 @@ def run(jobs: Sequence[Job], plan: Plan, bar: Bar = no_bar, thing: SceneObject |
     `run.failed.mcap` beside its path, and the others are done.
     """
     with torch_threads(jobs[0].config.threads):
-        return _run(jobs, plan, bar, thing)
+        return _run(jobs, plan, bar, thing, shelf)
 
 
 def begin(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None, shelf: Shelf | None) -> Walk:
@@ -96,15 +100,15 @@ def rehearse(config: Config, plan: Plan, bar: Bar, shelf: Shelf, overrides: list
         walk = begin([job], plan, bar, None, shelf)
         walk.synthesise()
         walk.coordinate()
-        yield so_far(walk, 0, job, result("going on", "", walk, time.perf_counter() - started))
+        yield so_far(walk, 0, job, result("going on", "", walk, 0, time.perf_counter() - started))
         walk.interact(0)
         said = outcome(config, plan, walk.states[0], walk.stages[0].reports)
-        yield so_far(walk, 0, job, result("done", said, walk, time.perf_counter() - started))
+        yield so_far(walk, 0, job, result("done", said, walk, 0, time.perf_counter() - started))
 
 
-def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None) -> list[Run]:
+def _run(jobs: Sequence[Job], plan: Plan, bar: Bar, thing: SceneObject | None, shelf: Shelf | None) -> list[Run]:
     started = time.perf_counter()
-    walk, failure = begin(jobs, plan, bar, thing, None), None
+    walk, failure = begin(jobs, plan, bar, thing, shelf), None
     try:
         walk.synthesise()
         walk.coordinate()
@@ -150,7 +154,7 @@ def finish(walk: Walk, number: int, job: Job, failure: Exception | None, shared:
         failure, video, footage = ending(error), None, None
     said = told(failure) if failure else outcome(config, walk.plan, walk.states[number], stages.reports)
     seconds = shared + time.perf_counter() - started
-    finished = so_far(walk, number, job, result("failed" if failure else "done", said, walk, seconds))
+    finished = so_far(walk, number, job, result("failed" if failure else "done", said, walk, number, seconds))
     if job.path is not None:
         record(finished, job.path, config.human_points, video, footage)
         if job.tells:
@@ -167,8 +171,9 @@ def so_far(walk: Walk, number: int, job: Job, result: dict[str, str]) -> Run:
     )  # fmt: skip
 
 
-def result(status: str, said: str, walk: Walk, seconds: float) -> dict[str, str]:
-    """What a record says came of a run."""
+def result(status: str, said: str, walk: Walk, number: int, seconds: float) -> dict[str, str]:
+    """What a record says came of a run of the walk, `seconds` after its begin; what it recalled counts as computed."""
+    seconds += sum(report.seconds for report in walk.stages[number].reports if RECALLED in report.notes)
     return {
         "status": status,
         "outcome": said,
@@ -289,7 +294,20 @@ def torch_threads(count: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+PROCESS = Path("/proc/self")
+
+
 def peak_memory_mb() -> float:
-    """Highest resident memory of this process so far [MB]."""
+    """Highest resident memory of this process, where the system can tell since `forget_peak_memory` [MB]."""
+    if (status := PROCESS / "status").exists():
+        found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text())
+        if found is not None:
+            return int(found[1]) * 1.024e-3
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
+
+
+def forget_peak_memory() -> None:
+    """The next run's peak is its own, where the system lets us."""
+    with suppress(OSError):
+        (PROCESS / "clear_refs").write_text("5")

@@ -1,5 +1,6 @@
 """The tables, from records of made-up runs: what they count, what they say, and that they are the same each time."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis import kept_rows, table
 from analysis.learned import sidecar
 from analysis.metrics import GROUPS, METRICS
 from analysis.reported import reported
@@ -89,12 +91,34 @@ def test_same_records_same_bytes(runs, tmp_path):
     written = []
     for name, jobs in (("a", "1"), ("b", "2"), ("a", "2")):
         assert main([str(runs), "-o", str(tmp_path / name), "--jobs", jobs], say=lambda line: None) == 2
-        assert sorted(file.name for file in (tmp_path / name).iterdir()) == sorted(FILES)
+        assert sorted(file.name for file in (tmp_path / name).iterdir()) == sorted([*FILES, kept_rows.NAME])
         written.append([(tmp_path / name / file).read_bytes() for file in FILES])
     runs.rename(tmp_path / "elsewhere")
     main([str(tmp_path / "elsewhere")], say=lambda line: None)
     written.append([(tmp_path / "elsewhere/table" / file).read_bytes() for file in FILES])
     assert written[0] == written[1] == written[2] == written[3]
+
+
+def test_records_that_have_not_changed_are_not_read_again(runs, tmp_path, monkeypatch):
+    fresh, kept, read = collect(runs), tmp_path / "kept", []
+    kept.mkdir()
+    row_of = table._row
+    monkeypatch.setattr(table, "_row", lambda folder, path: read.append(path.parent.name) or row_of(folder, path))
+    for expected in (["0", "1", "2", "3", "4"], ["4"]):  # what cannot be read is tried again
+        read.clear()
+        pd.testing.assert_frame_equal(collect(runs, kept=kept), fresh)
+        assert read == expected
+
+    shutil.copy(runs / "2/run.mcap", runs / "1/run.mcap")
+    read.clear()
+    assert collect(runs, kept=kept)["variant"].tolist() == ["full", "no_mpm", "no_mpm", "no_mpm", ""]
+    assert read == ["1", "4"]
+
+    for spoilt in ('{"readers": 1}', "no JSON", '{"readers": "older code", "rows": {}}'):
+        (kept / kept_rows.NAME).write_text(spoilt)
+        read.clear()
+        collect(runs, kept=kept)
+        assert len(read) == 5
 
 
 def test_several_processes_give_the_same_rows(demo, tmp_path):

@@ -97,6 +97,20 @@ def test_runs_are_where_those_of_single_commands_are(swept, composed):
     assert sum(path.is_file() for path in swept.rglob("*")) == 2
 
 
+def test_a_run_after_others_in_one_process_is_that_of_a_single_command(swept, tmp_path):
+    alone = [each for each in command("ablation=no_mpm", "seed=1", workers=0) if each != "--multirun"]
+    subprocess.run(alone, cwd=tmp_path, check=True, capture_output=True)
+    assert list(records(tmp_path).items()) == list(records(swept).items())[1:]
+
+
+def test_what_acts_late_varies_fastest():
+    from hydra_plugins.hoi_sweeper import LATE
+
+    given = OverridesParser.create().parse_overrides(["ablation=a,b", "stage/refine=c,d", "seed=0,1", "scene=x"])
+    given.sort(key=lambda override: override.get_key_element().startswith(LATE))
+    assert [override.get_key_element() for override in given] == ["seed", "scene", "ablation", "stage/refine"]
+
+
 @needs_joblib
 def test_a_failed_run_stops_no_other_and_finished_ones_are_kept(swept, tmp_path):
     folder = tmp_path / "again"
