@@ -45,9 +45,6 @@ CANNOT = {
     "pip install hydra-ray-launcher": "another package index and environment",
     "git clone": "asks the network",
     "rerun": "opens a window",
-    "python -m hoi.run experiment=paper": "a GPU and CogVideoX-5B",
-    "python -m hoi.run stage/refine=cogvideox": "CogVideoX-5B",
-    "python -m hoi.run human=smpl": "an SMPL file, which only its licensees have",
     "python -m tests.": "a test program, which takes minutes",
 }
 """How a command begins that is not run, and what it would take."""
