@@ -115,7 +115,8 @@ def check_module(module: str, arguments: list[str], folder: Path) -> None:
         for option in (word.partition("=")[0] for word in arguments if re.match(r"--?[a-z]", word)):
             assert re.search(rf"(?<![\w-]){re.escape(option)}(?![\w-])", said), f"{module} --help knows no {option}"
     elif "--config-name" in arguments:
-        called(module, *(str(ROOT / word) if word == "sweeps" else word for word in arguments), "--cfg", "hydra")
+        first = [word.partition(",")[0] for word in arguments]  # the first run of it
+        called(module, *(str(ROOT / word) if word == "sweeps" else word for word in first), "--cfg", "hydra")
     else:
         if "--multirun" in arguments:  # the first run of it
             arguments = [word.partition(",")[0] for word in arguments if word != "--multirun"]
