@@ -17,7 +17,7 @@ from tests.conftest import ROOT, listed_slow
 COMPILERS = {"taichi", "quadrants"}
 ROOMS = """
     hoi errors streams callable adam
-    data files compute
+    data files compute gpu
     frames reports gaussians mpm
     terminal body objects
     motion record

@@ -31,9 +31,12 @@ FOLLOWS = {
 }
 """The steps that may differ from the full method's: of w/o Contact stage 3 looks for the limb around t*."""
 
+OWN = {"live": {"no_video_sds"}}
+"""What an experiment itself does without."""
+
 
 def test_the_lists_are_whole():
-    assert len(EXPERIMENTS) == 5 and len(SCENES) == 10 and set(STAGE) == set(Ablation) == set(FOLLOWS)
+    assert len(EXPERIMENTS) == 6 and len(SCENES) == 10 and set(STAGE) == set(Ablation) == set(FOLLOWS)
 
 
 @pytest.fixture(scope="module")
@@ -52,13 +55,15 @@ def test_one_thing_differs(composed, full, monkeypatch, ablation, experiment, sc
     plan = make_plan(config)
     assert (config.experiment, config.ablation, config.scene.name) == (experiment, ablation, scene)
     assert raw.out == f"runs/{scene}/{experiment}/{ablation.value}/s0"
-    assert plan.variant == ablation.value
     if ablation is Ablation.full:
         full[experiment, scene] = config, plan
     if (experiment, scene) not in full:
         whole = to_config(composed(f"experiment={experiment}", f"scene={scene}"))
         full[experiment, scene] = whole, make_plan(whole)
     of_full, plan_of_full = full[experiment, scene]
+    own = {*plan_of_full.variant.split("+")} - {"full"}
+    assert own == OWN.get(experiment, set())
+    assert {*plan.variant.split("+")} == ((own | {ablation.value}) - {"full"} or {"full"})
     assert {key for key, *_ in docs_ablations.chosen(of_full, config)} <= {STAGE[ablation]}
     assert {name for name, *_ in docs_ablations.steps(plan_of_full, plan)} <= FOLLOWS[ablation]
     assert plan.uses.count("approach") == plan_of_full.uses.count("approach")

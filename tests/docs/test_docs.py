@@ -45,9 +45,6 @@ CANNOT = {
     "pip install hydra-ray-launcher": "another package index and environment",
     "git clone": "asks the network",
     "rerun": "opens a window",
-    "python -m hoi.run experiment=paper": "a GPU and CogVideoX-5B",
-    "python -m hoi.run stage/refine=cogvideox": "CogVideoX-5B",
-    "python -m hoi.run human=smpl": "an SMPL file, which only its licensees have",
     "python -m tests.": "a test program, which takes minutes",
 }
 """How a command begins that is not run, and what it would take."""
@@ -118,7 +115,8 @@ def check_module(module: str, arguments: list[str], folder: Path) -> None:
         for option in (word.partition("=")[0] for word in arguments if re.match(r"--?[a-z]", word)):
             assert re.search(rf"(?<![\w-]){re.escape(option)}(?![\w-])", said), f"{module} --help knows no {option}"
     elif "--config-name" in arguments:
-        called(module, *(str(ROOT / word) if word == "sweeps" else word for word in arguments), "--cfg", "hydra")
+        first = [word.partition(",")[0] for word in arguments]  # the first run of it
+        called(module, *(str(ROOT / word) if word == "sweeps" else word for word in first), "--cfg", "hydra")
     else:
         if "--multirun" in arguments:  # the first run of it
             arguments = [word.partition(",")[0] for word in arguments if word != "--multirun"]

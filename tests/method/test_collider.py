@@ -1,6 +1,6 @@
 """The striking limb as capsules: their fit, their way through the scene, and what they do to a body in the MPM."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_frames, posed_means, stand_motion
 from hoi.config.validate import to_config
 from hoi.data import Material, Motion, Plane, Scene, SceneObject
-from hoi.errors import InputError, RunError
+from hoi.errors import RunError
 from hoi.gaussians import fibonacci_sphere
 from hoi.method.contact import find_contact
 from hoi.method.object_motion import at_rest, free_motion
@@ -23,6 +23,7 @@ from hoi.mpm.solver import Simulation, ground_plane
 from hoi.mpm.state import initial_state
 from hoi.plan import make_plan
 from hoi.reports import Stages
+from hoi.stages.contact.impulse import Impulse
 
 SOFT = Material("soft", "neo_hookean", 1e5, 0.3, 100.0, 0.6, 0.5)
 BALL_RADIUS, DX = 0.1, 0.025
@@ -349,9 +350,17 @@ def test_the_plan_says_which_model_pushes(composed):
     assert steps["contact"].implementation == "impulse" and "from t_c" in steps["resimulate"].reason
 
 
-def test_a_collider_needs_the_mpm(composed):
-    with pytest.raises(InputError, match=r"stage/contact must be impulse where stage/object is constant"):
-        to_config(composed("stage/contact=collider", "stage/object=constant_velocity"))
+def test_without_matter_to_press_a_collider_gives_the_impulse(composed):
+    """w/o MPM: the same contact in all its settings, and the plan says what acts and why."""
+    config = to_config(composed("stage/contact=collider", "stage/object=constant_velocity", "stage.contact.tau=0.07"))
+    contact = config.stage.contact
+    acts = contact.beside(config.stage.object)
+    assert isinstance(acts, Impulse) and acts.tau == 0.07
+    assert {each.name: getattr(acts, each.name) for each in fields(acts)}.items() <= vars(contact).items()
+    assert contact.beside(to_config(composed()).stage.object) is contact
+    plan = make_plan(config)
+    assert plan.implementation("contact") == "impulse"
+    assert any("constant_velocity has no matter" in each.because for each in plan.omissions)
 
 
 def test_carry_follows_a_joint():

@@ -31,13 +31,14 @@ def ball(velocity=(0.0, 0.0, 0.0)) -> ObjectTrajectory:
     )
 
 
-def search(body, motion, trajectory, between_frames=True):
+def search(body, motion, trajectory, between_frames=True, widened=True):
     means, zero = trajectory.positions[0], np.zeros(3)
     material = Material("ball", "neo_hookean", 1e5, 0.3, 1.0, 0.6, 0.5)
     volumes = np.full(len(means), 0.43 / len(means))  # 0.43 kg
     thing = SceneObject("ball", cloud_of(means, 0.005), means, volumes, material, zero, zero, 2 * RADIUS)
     scene = Scene("strike", body, thing, "", FRAMES, FPS, zero)
-    return find_contact(scene, motion, trajectory, tau=0.05, distance=0.01, between_frames=between_frames)
+    how = {"between_frames": between_frames, "widened": widened}
+    return find_contact(scene, motion, trajectory, tau=0.05, distance=0.01, **how)
 
 
 def test_impulse_formula():
@@ -125,3 +126,12 @@ def test_touch_counts_the_limb_and_averages_the_object():
     assert found.fraction == 0.5
     assert found.gap == pytest.approx(0.005)
     np.testing.assert_allclose(found.point, [0, 0, 0])
+
+
+def test_boxes_that_do_not_overlap_are_no_contact_in_the_papers_way(fist):
+    """A fist 1 mm off a ball is within d_contact; its box meets the ball's only where both are wider by it."""
+    start = [0, -(RADIUS + LIMB_RADIUS + 0.001), 1]
+    assert search(fist, moving(start, [0, 0.0, 0]), ball(), between_frames=False).contacts
+    assert not search(fist, moving(start, [0, 0.0, 0]), ball(), between_frames=False, widened=False).contacts
+    inside = [0, -(RADIUS + LIMB_RADIUS - 0.005), 1]
+    assert search(fist, moving(inside, [0, 0.0, 0]), ball(), between_frames=False, widened=False).contacts

@@ -149,3 +149,19 @@ def test_at_another_frame_rate_what_x_changes_is_added(body):
 @pytest.mark.parametrize(("frames", "fps", "count"), [(40, 20.0, 40), (120, 60.0, 40), (60, 30.0, 40), (2, 60.0, 3)])
 def test_x_covers_the_motion_at_the_priors_rate(frames, fps, count):
     assert knots(frames, fps, 20.0) == count
+
+
+def test_the_printed_gradient_is_that_of_the_sum(body):
+    """w (X - X0_hat) for every entry (paper); the mean's is a (205 T)th of it."""
+    goal = torch.zeros(FRAMES, features.FEATURE_COUNT, dtype=torch.float64)
+    mean = distillation_towards(goal, body.rest_joints, torch.float64)
+    pose = perturbed(stand_motion(body, FRAMES, 20.0), 2, torch.float64)
+    losses = [
+        float(each.loss(pose, [torch.Generator().manual_seed(3)])[0].detach())
+        for each in (mean, replace(mean, summed=True))
+    ]
+    assert losses[1] == pytest.approx(FRAMES * features.FEATURE_COUNT * losses[0], rel=1e-12)
+    t = torch.randint(0, 100, (), generator=torch.Generator().manual_seed(3))
+    weight = 1 - float(mean.prior.alphas_cumprod[t])
+    residual = mean.features(pose).detach() - goal
+    assert losses[1] == pytest.approx(0.5 * weight * float((residual**2).sum()), rel=1e-9)

@@ -84,3 +84,17 @@ def test_bones_apart():
     apart = bones_apart(FOOT)
     names = ["right_foot", "right_ankle", "right_knee", "right_hip", "pelvis", "left_hip", "spine1"]
     assert [apart[JOINT_NAMES.index(name)] for name in names] == [0, 1, 2, 3, 4, 5, 5]
+
+
+def test_the_papers_window_is_of_all_joints_and_without_a_taper():
+    before, window = motion(), window_around(5.4, FOOT, 1.0, 12, whole_body=True, tapered=False)
+    assert window.moving == tuple(range(1, 24))
+    np.testing.assert_array_equal(taper(window), np.ones(3))
+    pose = WindowedPose(before, window)
+    with torch.no_grad():
+        pose.offset += 0.1
+    after = pose.motion()
+    np.testing.assert_allclose(after.body_pose[4:7] - before.body_pose[4:7], 0.1, atol=1e-6)
+    np.testing.assert_array_equal(
+        np.delete(after.body_pose, range(4, 7), 0), np.delete(before.body_pose, range(4, 7), 0)
+    )

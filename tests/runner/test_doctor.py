@@ -34,7 +34,7 @@ def test_what_is_here_and_what_each_experiment_lacks(capsys, monkeypatch):
 
 def test_the_default_comes_first_and_all_are_told():
     names = doctor.experiments()
-    assert names[0] == "laptop" and {"paper", "paper_smoke", "smoke", "unplaced"} == set(names[1:])
+    assert names[0] == "laptop" and {"live", "paper", "paper_smoke", "smoke", "unplaced"} == set(names[1:])
 
 
 def test_a_gpu_that_is_too_small_is_said():

@@ -14,6 +14,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from analysis.variations import VARIATIONS
 from hoi.config import CONF, register
 from hoi.config.validate import to_config
 from hoi.record import read
@@ -71,7 +72,9 @@ def test_variations_differ_in_more_than_their_names():
     assert made["object_low"].scene.placement != made["object_high"].scene.placement
     assert (made["step"].scene.approach, made["stand"].scene.approach) == ("step", "stand")
     assert made["object_fast"].scene.placement.velocity[1] < made["object_slow"].scene.placement.velocity[1] < 0
-    assert made["gentle"].scene.motion_prompt != made["hard"].scene.motion_prompt
+    assert made["gentle"].scene.motion_prompt == made["hard"].scene.motion_prompt  # it is the strike that differs
+    assert made["hard"].scene.tempo / made["gentle"].scene.tempo >= 1.5
+    assert set(listed) == set(VARIATIONS)
 
 
 def sweep(folder: Path, *overrides: str, workers: int = 0) -> subprocess.CompletedProcess[str]:
