@@ -227,7 +227,7 @@ def _grid() -> list[Blow]:
 
 
 def _short(number: float) -> str:
-    return f"{number:g}".replace("e+0", "e").replace("e-0", "e-")
+    return f"{number:g}" if number < 1e4 else f"{number:.0e}".replace("e+0", "e")
 
 
 BLOWS: dict[str, Blow] = {blow.id: blow for blow in _grid()}

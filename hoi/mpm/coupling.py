@@ -5,8 +5,8 @@ Between p2g and the update of the nodes, in two passes over the nodes that hold 
 
     meet  the nodes that capsules of a part approach make up a cluster; as in a plastic blow, part and cluster are to
           have one motion, with all that hangs on the part: t' = t + W (h - G t').
-    push  each such node is held to its capsule at that velocity, as by an obstacle, and the part gets exactly the
-          opposite of what the node was given.
+    push  each such node is held to its capsule at that velocity, as by an obstacle, or as far towards it as lets the
+          energy of all fall, and the part gets exactly the opposite of what the node was given.
 
 Over the steps of a launch parts answer as they would where they stood at its start, W being kept.
 

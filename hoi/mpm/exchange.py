@@ -3,9 +3,11 @@
 `body` (6 K, columns(K)), in float64, is what they know of K parts, six rows each: a velocity at the window's origin and
 a turning, or an impulse and an angular impulse about it.
 
-    NOW, TOLD  the part's twist t, and t' that is foreseen
+    NOW, TOLD  the part's twist t, and t' that is foreseen, then what the exchange takes from t
     GIVEN      what its capsules give in this substep
     TAKEN      and in this launch
+    ROW        rows of the equations
+    ENERGY     A, B, and a of `settle`
     MOMENTUM   h of the cluster of nodes that its capsules approach
     INERTIA    six columns: G, what that cluster's momentum G t' is once it moves as one with the part
     EASE       6 K columns: W, how wrenches on all parts change this one's twist
@@ -18,8 +20,8 @@ a turning, or an impulse and an angular impulse about it.
 from hoi.compute import ti
 from hoi.mpm.boundary import hold_to_capsule, nearest_capsule
 
-NOW, TOLD, GIVEN, TAKEN, MOMENTUM, ROW = 0, 1, 2, 3, 4, 5
-INERTIA, EASE = 6, 12
+NOW, TOLD, GIVEN, TAKEN, MOMENTUM, ROW, ENERGY = 0, 1, 2, 3, 4, 5, 6
+INERTIA, EASE = 7, 13
 
 
 def columns(parts: int) -> int:
@@ -95,16 +97,25 @@ def meet_node(node, atomic: ti.template(), nodes, copies, grid: ti.template(), t
 def push_node(node, atomic: ti.template(), nodes, copies, grid: ti.template(), touched: ti.template(),
               capsules: ti.template(), parts: ti.template(), body: ti.template(), dt, dx, gravity: ti.template(),
               shape: ti.template()):  # fmt: skip
-    """Holds a node to its capsule, whose part gave what the node gets."""
+    """What holds a node to its capsule, whose part is to give it, and how that changes the energy of the nodes."""
     if touched[node] != 0:
-        touched[node] = 0
+        grid[node] = ti.Vector([0.0, 0.0, 0.0, 0.0])
         velocity, mass, place = node_of(node, nodes, copies, grid, dt, dx, gravity, shape)
         i = nearest_capsule(place, capsules, dt)
         if mass > 0.0 and i >= 0:
             pushed, _ = hold_to_capsule(velocity, place, i, capsules, dt)
             given = mass * (pushed - velocity)
-            grid[nodes + node] = grid[nodes + node] + given
+            grid[node] = given  # the velocities of the last step are needed no more
             add_wrench(body, 6 * parts[i], GIVEN, place, given, atomic)
+            add(body, 0, ENERGY, velocity.dot(given), atomic)
+            add(body, 1, ENERGY, given.dot(given) / mass, atomic)
+
+
+@ti.func
+def give_node(node, nodes, grid: ti.template(), touched: ti.template(), body: ti.template()):
+    if touched[node] != 0:
+        touched[node] = 0
+        grid[nodes + node] = grid[nodes + node] + ti.cast(body[2, ENERGY], float) * grid[node]
 
 
 @ti.func
@@ -182,6 +193,29 @@ def move_with(body: ti.template(), column, capsules: ti.template(), parts: ti.te
 
 
 @ti.func
+def settle(body: ti.template()):
+    """Cuts what is given down to the share a <= 1 at which A a + B a^2 / 2, the energy of all together, is least.
+
+    What a part gives along surfaces that it slides on is not all that was foreseen of it; against something heavy that
+    little can throw it back faster than it came. With this no exchange adds energy, as in no plastic blow.
+    """
+    rows = body.shape[0]
+    first, second = body[0, ENERGY], body[1, ENERGY]
+    for row in range(rows):
+        eased = body[row, EASE] * body[0, GIVEN]
+        for along in range(1, rows):
+            eased += body[row, EASE + along] * body[along, GIVEN]
+        body[row, TOLD] = eased
+        first -= body[row, NOW] * body[row, GIVEN]
+        second += eased * body[row, GIVEN]
+    share = ti.max(0.0, ti.min(1.0, -first / ti.max(second, 1e-300)))
+    for row in range(rows):
+        body[row, GIVEN] = share * body[row, GIVEN]
+        body[row, TOLD] = share * body[row, TOLD]
+    body[0, ENERGY], body[1, ENERGY], body[2, ENERGY] = 0.0, 0.0, share
+
+
+@ti.func
 def take(body: ti.template(), capsules: ti.template(), parts: ti.template(), dt):
     """Moves the capsules on, and gives their parts the opposite of what they gave."""
     rows = body.shape[0]
@@ -189,11 +223,7 @@ def take(body: ti.template(), capsules: ti.template(), parts: ti.template(), dt)
         for end in ti.static(range(2)):  # the last place of a velocity is 0
             capsules[4 * i + end] = capsules[4 * i + end] + dt * capsules[4 * i + 2 + end]
     for row in range(rows):
-        lost = body[row, EASE] * body[0, GIVEN]
-        for along in range(1, rows):
-            lost += body[row, EASE + along] * body[along, GIVEN]
-        body[row, NOW] = body[row, NOW] - lost
-    for row in range(rows):
+        body[row, NOW] = body[row, NOW] - body[row, TOLD]
         body[row, TAKEN] = body[row, TAKEN] + body[row, GIVEN]
         body[row, GIVEN] = 0.0
     move_with(body, NOW, capsules, parts)
@@ -210,6 +240,9 @@ def exchange_in_turn(nodes, copies, grid: ti.template(), touched: ti.template(),
     move_with(body, TOLD, capsules, parts)
     for node in range(nodes):
         push_node(node, False, nodes, copies, grid, touched, capsules, parts, body, dt, dx, gravity, shape)
+    settle(body)
+    for node in range(nodes):
+        give_node(node, nodes, grid, touched, body)
     take(body, capsules, parts, dt)
 
 
@@ -229,6 +262,10 @@ def exchange(
             move_with(body, TOLD, capsules, parts)
         for node in range(nodes):
             push_node(node, True, nodes, copies, grid, touched, capsules, parts, body, dt, dx, gravity, shape)
+        for _ in range(1):
+            settle(body)
+        for node in range(nodes):
+            give_node(node, nodes, grid, touched, body)
         for _ in range(1):
             take(body, capsules, parts, dt)
     else:

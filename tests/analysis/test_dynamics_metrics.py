@@ -18,7 +18,7 @@ from hoi.body.mass import masses_of
 from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import stand_motion
-from hoi.data import Body, Motion, Run, fields_of
+from hoi.data import Body, Motion, Push, Run, fields_of
 from tests.demo_run import make_run
 
 G = np.array([0.0, 0.0, -9.81])
@@ -173,6 +173,25 @@ def test_momentum_closes_when_the_person_takes_what_it_gives(run, man, weight, s
     assert METRICS["momentum_gap_share"](infinite) == pytest.approx(100, rel=1e-6)
     late = replace(search, contacts=(replace(push, frame=FRAMES - 1.5),))
     assert np.isnan(METRICS["momentum_gap"](record(run, man, answers, contact=late, trajectory=trajectory)))
+
+
+def test_a_second_push_is_given_by_the_person_too(run, man, weight):
+    search, thing, mass = run.state.contact, float(run.scene.object.masses.sum()), weight / 9.81
+    time = np.arange(FRAMES) / FPS
+    pushes = (Push(3.2 / FPS, 4.1 / FPS, np.array([0.0, 20.0, 5.0])), Push(7.3 / FPS, 8.0 / FPS, np.array([3.0, 6, 0])))
+    moved = sum(ramp(time - push.start, push.end - push.start)[:, None] * push.impulse for push in pushes)
+    fall = 9 * UP + 0.5 * G * time[:, None] ** 2
+    path = fall + [0.0, 0.7, 0.0] + moved / thing
+    shape = run.scene.object.particles - run.scene.object.particles.mean(axis=0)
+    trajectory = replace(run.state.trajectory, com=path, positions=(path[:, None] + shape).astype(np.float32))
+    first = replace(search.push, frame=3.2, duration=0.9 / FPS, impulse=pushes[0].impulse)
+    answers, changed = lifted(standing(man), fall - moved / mass), {"trajectory": trajectory, "target": None}
+    both = replace(search, contacts=(first,), pushes=pushes)
+    assert METRICS["momentum_gap"](record(run, man, answers, contact=both, **changed)) < 1e-5
+    still_there = lifted(standing(man), fall)
+    infinite = record(run, man, still_there, contact=both, **changed)
+    assert METRICS["momentum_gap"](infinite) == pytest.approx(np.linalg.norm([3, 26, 5]), rel=1e-6)
+    assert METRICS["momentum_gap_share"](infinite) == pytest.approx(100, rel=1e-6)
 
 
 def ramp(time: np.ndarray, seconds: float) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from analysis.stability.__main__ import main
+from analysis.stability.blows import BLOWS, verdict_of
 from analysis.stability.cases import CASES, MODELS, Case, quick
 from analysis.stability.outcome import Look, Outcome
 from analysis.stability.trial import SHAPES, attempt
@@ -124,6 +125,24 @@ def test_the_grid_covers_what_it_should() -> None:
     assert shares[1.1, "refuse"] >= 14 and shares[10.0, "refuse"] >= 14 and shares[1.1, "run"] == 0
     assert not {field.name for field in fields(Case)} & {field.name for field in fields(Verdict)}  # one row holds both
     assert 20 <= len(quick()) <= 80 and {case.id for case in quick()} <= set(CASES)
+
+
+def test_the_person_is_tried_at_its_extremes() -> None:
+    blows = list(BLOWS.values())
+    assert len(blows) >= 200 and all(blow.id == name for name, blow in BLOWS.items())
+    ends = {name: {getattr(blow, name) for blow in blows} for name in ("mass", "speed", "youngs_modulus", "frames")}
+    assert ends["mass"] >= {1e-3, 1e4} and ends["speed"] >= {0.0, 50.0}
+    assert ends["youngs_modulus"] >= {1e3, 1e9} and ends["frames"] >= {8, 400}
+
+
+@pytest.mark.parametrize("blow", [
+    "person_impulse/rigid/m1e4/v50", "person_impulse/limp/m0.001/v2", "person_collider/joints/E1e6 m0.1/v10",
+    "person_collider/rigid/E1e9 m1e4/v2",
+])  # fmt: skip
+def test_blows_hold(blow: str) -> None:
+    verdict = verdict_of(BLOWS[blow])
+    assert verdict.verdict == "held", verdict.reason
+    assert verdict.momentum_drift < 1e-4 and verdict.energy_rise < 0.02
 
 
 @pytest.mark.parametrize("shape", SHAPES)
