@@ -24,8 +24,9 @@ VIEWS, POSES, SIZE = 49, 7, 400
 KINDS = 12
 SETTINGS = Settings(antialiased=True)
 RATES = {"means": 0.02, "scales": 0.01, "quaternions": 0.004, "opacities": 0.02, "rgb": 0.006}
-LONGER, SHORTER = 0.45, 2.0
-"""How far a scale may go from where it began, in its logarithm."""
+LONGER, SHORTER = (0.45, 0.45, 1.6), 2.0
+"""How far a scale may go from where it began, in its logarithm: along the surface, and through it, which makes the edge
+of an outline."""
 
 Pose = tuple[Tensor, Tensor, Tensor]
 """Translation (1, 3), orientation (1, 6) and body pose (1, 23, 3)."""
@@ -117,6 +118,7 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
     }
     for values in free.values():
         values.requires_grad_(True)
+    longer = torch.tensor(LONGER)
     spacing, weights, joints = tensor(surfels.spacing)[:, None], tensor(surfels.weights), tensor(person.joints)
     adam = torch.optim.Adam([{"params": [free[name]], "lr": rate} for name, rate in RATES.items()], eps=1e-12)
     rng, losses, begun = np.random.default_rng(0), [], time.time()
@@ -141,7 +143,7 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
         adam.step()
         with torch.no_grad():
             free["means"].clamp_(-1, 1)
-            free["scales"].copy_(free["scales"].clamp(first_scales - SHORTER, first_scales + LONGER))
+            free["scales"].copy_(free["scales"].clamp(first_scales - SHORTER, first_scales + longer))
             free["rgb"].clamp_(0, 1)
         losses.append(float(loss.detach()))
         if step % 100 == 99:
