@@ -27,6 +27,8 @@ RATES = {"means": 0.02, "scales": 0.01, "quaternions": 0.004, "opacities": 0.02,
 LONGER, SHORTER = (0.45, 0.45, 1.6), 2.0
 """How far a scale may go from where it began, in its logarithm: along the surface, and through it, which makes the edge
 of an outline."""
+BACK = -0.15
+"""Cosine to the camera below which a Gaussian shows its back."""
 
 Pose = tuple[Tensor, Tensor, Tensor]
 """Translation (1, 3), orientation (1, 6) and body pose (1, 23, 3)."""
@@ -118,7 +120,7 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
     }
     for values in free.values():
         values.requires_grad_(True)
-    longer = torch.tensor(LONGER)
+    longer, closed = torch.tensor(LONGER), torch.tensor(surfels.closed)
     spacing, weights, joints = tensor(surfels.spacing)[:, None], tensor(surfels.weights), tensor(person.joints)
     adam = torch.optim.Adam([{"params": [free[name]], "lr": rate} for name, rate in RATES.items()], eps=1e-12)
     rng, losses, begun = np.random.default_rng(0), [], time.time()
@@ -126,14 +128,19 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
         if step == int(steps * 0.7):
             for group in adam.param_groups:
                 group["lr"] *= 0.3
-        index, camera, rgb, alpha = seen[int(rng.integers(len(seen)))]
+        index, camera, shown, alpha = seen[int(rng.integers(len(seen)))]
         behind = torch.tensor(rng.random(3), dtype=torch.float32)
         cover = tensor(alpha)[..., None]
-        wanted = tensor(rgb) + (1 - cover) * behind
+        wanted = tensor(shown) + (1 - cover) * behind
         body = BodyTensors(start + free["means"] * spacing, free["quaternions"], weights, joints)
         means, rotations = pose_gaussians(body, *all_poses[index])
         root = rotations[0] * free["scales"].exp()[:, None, :]
-        splats = Splats(means[0], root @ root.mT, free["opacities"].sigmoid(), ((free["rgb"] - 0.5) / SH_C0)[:, None])
+        # What is turned away has some other colour: where it shines through the skin before it, that is an error.
+        towards = torch.as_tensor(camera.position, dtype=torch.float32) - means[0].detach()
+        facing = (rotations[0, :, :, 2].detach() * towards).sum(1) / towards.norm(dim=1)
+        away = (closed & (facing < BACK))[:, None]
+        rgb = torch.where(away, torch.tensor(rng.random(3), dtype=torch.float32), free["rgb"])
+        splats = Splats(means[0], root @ root.mT, free["opacities"].sigmoid(), ((rgb - 0.5) / SH_C0)[:, None])
         picture = rasterise(splats, camera, behind, settings=SETTINGS)
         where = ((cover > 0.01) | (picture.alpha.detach()[..., None] > 0.01)).float()
         loss = ((picture.colour - wanted).abs() * where).sum() / where.sum() / 3
