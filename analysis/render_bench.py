@@ -173,11 +173,11 @@ def projection_rows(
     Raises:
         InputError: it failed there.
     """
-    from hoi.render import rasterise
+    from hoi.render import kernels, rasterise
 
     colours = splats.sh[:, 0].contiguous()
     settings = rasterise.Settings()
-    rasterise._start(splats.means)
+    kernels.start_kernels(splats.means)
     ours = milliseconds(
         lambda: rasterise._project(splats.means, splats.covariances, splats.opacities, colours, camera, settings), turns
     )

@@ -248,12 +248,17 @@ def _speckled(colour: tuple[float, float, float], depth: float, grain: float) ->
 
 
 def _jelly(points: Array, normals: Array) -> Array:
-    """Red, paler towards the top and gleaming along the upper edges, on a stand of planks."""
+    """Red, paler towards the top and where it is thin, along its edges, since light gets through there as
+    exp(-thickness / `JELLY_DEPTH`); on a stand of planks."""
     half = JELLY_BLOCK_EXTENT[2] / 2
     height = ((points[:, 2] / half + 1) / 2 - (1 - JELLY_SHARE)) / JELLY_SHARE
     rgb = np.array([0.62, 0.04, 0.08]) + height[:, None] * np.array([0.26, 0.10, 0.10])
-    side = np.sort(np.abs(points[:, :2]), 1)[:, 1] > JELLY_BLOCK_EXTENT[0] / 2 - 0.012
-    rgb[side & (height > 0.94)] = [0.97, 0.62, 0.60]
+    inward = np.array(JELLY_BLOCK_EXTENT) / 2 - np.abs(points)
+    inward[:, 2] = half - points[:, 2]
+    through = (
+        0.75 * np.exp(-np.sort(inward, 1)[:, 1] / JELLY_DEPTH)[:, None]
+    )  # the face itself is nearest, then an edge
+    rgb += through * (np.array([1.0, 0.52, 0.46]) - rgb)
     planks = np.abs(points[:, 2] / 0.12 - np.rint(points[:, 2] / 0.12)) > 0.46
     rgb[height < 0] = [0.60, 0.44, 0.28]
     rgb[(height < 0) & planks] = [0.36, 0.25, 0.15]
@@ -275,6 +280,8 @@ FILE_CABINET_EXTENT = (0.46, 0.62, 1.0)
 SAND_BAG_EXTENT = (0.3, 0.3, 0.45)
 CARDBOARD_BOX_EXTENT = (0.4, 0.4, 0.4)
 JELLY_BLOCK_EXTENT = (0.4, 0.4, 1.2)
+JELLY_DEPTH = 0.03
+"""How far red light gets into it [m]."""
 JELLY_SHARE = 0.3
 """Of its height; the rest is the stand."""
 
@@ -285,7 +292,7 @@ SHAPES = {
     "file_cabinet": Shape("box", FILE_CABINET_EXTENT, _cabinet, reliefs.cabinet(FILE_CABINET_EXTENT), front_detail=1.7),
     "cardboard_box": Shape("box", CARDBOARD_BOX_EXTENT, _cardboard, reliefs.cardboard),
     "beach_ball": Shape("ball", (0.4, 0.4, 0.4), _beach_ball),
-    "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.06, 0.012), reliefs.pores(0.022, 0.006)),
+    "foam_cube": Shape("box", (0.5, 0.5, 0.5), _speckled((0.93, 0.84, 0.45), 0.03, 0.012), reliefs.pores(0.03, 0.002)),
     "jelly_block": Shape("box", JELLY_BLOCK_EXTENT, _jelly, reliefs.jelly),
     "clay_block": Shape("box", (0.2, 0.2, 0.2), _speckled((0.58, 0.36, 0.24), 0.10, 0.025), reliefs.rough(0.05, 0.004)),
     "sand_bag": Shape("cylinder", SAND_BAG_EXTENT, _sand_bag, reliefs.sand_bag),

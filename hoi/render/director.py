@@ -34,6 +34,8 @@ AHEAD, SMOOTHING = 0.35, 0.25
 """What a moving camera shows lies this far before and after [s]; standard deviation of its smoothing [s]."""
 QUICK = 3.0
 """Speed of the camera that counts half [m/s]."""
+FACES = 0.15
+"""What a face in full view adds, and the back of a head takes off."""
 JUDGED = 10
 """Candidates whose view of the contact is drawn."""
 NEAR_CONTACT = 0.12
@@ -56,11 +58,14 @@ class Take:
     """Of the camera, at most [m/s]."""
     seen: float = 1.0
     """Visible share of limb and object around the contact at t_c, the smaller of both."""
+    faced: float = 0.0
+    """How much the person faces the camera at t_c, from -1, which is the back, to 1."""
 
     @property
     def worth(self) -> float:
         """Higher is better."""
-        return min(self.size, 0.75) ** 0.8 * (0.1 + self.seen) * self.framed**2 / (1 + (self.speed / QUICK) ** 2)
+        sight = (0.1 + self.seen) * self.framed**2 * (1 + FACES * self.faced)
+        return min(self.size, 0.75) ** 0.8 * sight / (1 + (self.speed / QUICK) ** 2)
 
 
 def directed(replay: Replay, width: int, height: int) -> list[Camera]:
@@ -160,7 +165,18 @@ def _judged(replay: Replay, cameras: Sequence[Camera], moment: int) -> Take:
     eyes = np.array([camera.position for camera in cameras])
     speed = np.linalg.norm(np.diff(eyes, axis=0), axis=1).max(initial=0.0) * replay.fps
     size = float(np.ptp(pixels[:, 1])) / cameras[moment].height
-    return Take(cameras, size, float(np.mean(framed)), float(speed))
+    return Take(cameras, size, float(np.mean(framed)), float(speed), faced=_faced(replay, eyes[moment], moment))
+
+
+def _faced(replay: Replay, eye: Array, moment: int) -> float:
+    """The cosine, on the ground, between where the person faces and where the camera is; 0 without a person."""
+    motion = replay.state.motion
+    if motion is None:
+        return 0.0
+    first, second = motion.orientation[moment].astype(np.float64).reshape(2, 3)
+    front = np.array([first[2], second[2]])  # the rest frame's z, in the world
+    away = eye[:2] - motion.translation[moment, :2]
+    return float(front @ away / max(np.linalg.norm(front) * np.linalg.norm(away), 1e-9))
 
 
 def _smooth(path: Array, sigma: float) -> Array:

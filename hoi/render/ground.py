@@ -39,7 +39,10 @@ EDGES = (0.012, 0.03, 0.065, 0.14, 0.3)
 """Standard deviations of the edges that are mixed to any softness between [m]."""
 _SKY_EDGES, _KEY_EDGES = (0.02, 0.08, 0.3), (0.018, 0.08)
 """The same of two lights, which hide each other's steps."""
+COARSE = 2
+"""Pixels from one place where shadows are looked up to the next: they are softer than that."""
 _FINE = 2.5  # cells of a shadow's map in a standard deviation
+_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 _GRAZING = 1e-4  # rays that are more level than this do not reach the floor
 _CELLS = 1_000_000  # in one map at most, where a part is spread out very far
 _FAR, _WIDE = 500.0, 0.3  # what is further away casts nothing, and no footprint is taken for wider [m]
@@ -114,7 +117,8 @@ class Backdrop:
         if floor:
             lit, share, places = _floor(camera, rays, ground)
             colour = _mix(colour, lit, share[..., None])
-            self._places = places.permute(1, 2, 0).contiguous()
+            blocks = functional.avg_pool2d(places[None], COARSE, ceil_mode=True)[0]
+            self._places = blocks.permute(1, 2, 0).contiguous()
             self._share = share
         self.colour = colour
         """Without shadows, (height, width, 3)."""
@@ -125,29 +129,37 @@ class Backdrop:
         colour = self.colour.clone()
         if not self._floor:
             return colour
+        height, width = self._share.shape
         for darkness in dict.fromkeys(shadow.darkness for shadow in shadows):
-            cover = torch.zeros_like(self._share)
-            windows = []
-            for shadow in shadows:
-                if shadow.darkness == darkness:
-                    windows.append(window := self._window(shadow))
-                    cover[window] += shadow.look_up(self._places[window])
-            around = tuple(
+            layers = [(shadow, self._window(shadow)) for shadow in shadows if shadow.darkness == darkness]
+            rows, columns = (
                 slice(min(side.start for side in sides), max(side.stop for side in sides))
-                for sides in zip(*windows, strict=True)
+                for sides in zip(*(window for _, window in layers), strict=True)
             )
+            cover = torch.zeros_like(self._places[..., 0])
+            for shadow, window in layers:
+                cover[window] += shadow.look_up(self._places[window])
+            cover = cover[rows, columns]
+            if not cover.numel():
+                continue
             # Several layers of one body above each other are hardly darker than one.
-            loss = darkness * self._share[around] * torch.expm1(-1.8 * cover[around])
-            colour[around] *= 1 + loss[..., None]
+            loss = torch.expm1(-1.8 * cover)[None, None]
+            loss = functional.interpolate(loss, scale_factor=COARSE, mode="bilinear", align_corners=False)[0, 0]
+            top, left = rows.start * COARSE, columns.start * COARSE
+            loss = darkness * loss[: height - top, : width - left]
+            around = (slice(top, top + loss.shape[0]), slice(left, left + loss.shape[1]))
+            colour[around] *= 1 + (self._share[around] * loss)[..., None]
         return colour
 
     def _window(self, shadow: Shadow) -> tuple[slice, slice]:
-        """The part of the picture in which the shadow's map lies."""
+        """The part of `_places` in which the shadow's map lies."""
         pixels, depth = project(self._camera, shadow.corners())
-        size = (self._camera.width, self._camera.height)
+        size = self._places.shape[1::-1]
         if (depth <= self._camera.near).any():
             return slice(0, size[1]), slice(0, size[0])
-        (left, top), (right, bottom) = np.clip(np.floor([pixels.min(0), pixels.max(0) + 1]), 0, size).astype(int)
+        (left, top), (right, bottom) = np.clip(
+            np.floor([pixels.min(0) / COARSE, pixels.max(0) / COARSE + 1]), 0, size
+        ).astype(int)
         return slice(top, bottom), slice(left, right)
 
 
@@ -161,27 +173,28 @@ def cast(splats: Splats, beam: Beam = Beam()) -> tuple[Shadow, ...]:
     """
     step = max(1, len(splats) // _CASTERS)
     means, sigma, opacities = (t[::step].float() for t in (splats.means, splats.covariances, splats.opacities))
-    if beam.towards[2] < 1:
-        shear = torch.eye(3, device=means.device)
-        shear[0, 2], shear[1, 2] = (-along / beam.towards[2] for along in beam.towards[:2])
-        means, sigma = means @ shear.T, shear @ sigma @ shear.T
-    xx, xy, yy = (step * sigma[:, row, column] for row, column in ((0, 0), (0, 1), (1, 1)))
-    area = 2 * math.pi * (xx * yy - xy * xy).clamp_min(0).sqrt()
-    table = torch.stack([*means.unbind(1), opacities * area, (xx + yy) / 2], 1)
-    near = (means[:, :2].abs() < _FAR).all(1)
-    rows = torch.nonzero((means[:, 2] > 0) & (opacities > 0.02) & near & table.sum(1).isfinite())[:, 0]
+    xx, xy, yy, xz, yz, zz = (sigma[:, row, column] for row, column in _ENTRIES)
+    x, y, height = means.unbind(1)
+    if beam.towards[2] < 1:  # slid along the light onto the floor
+        a, b = (-along / beam.towards[2] for along in beam.towards[:2])
+        x, y = x + a * height, y + b * height
+        xx, xy, yy = xx + a * (2 * xz + a * zz), xy + a * yz + b * (xz + a * zz), yy + b * (2 * yz + b * zz)
+    area = 2 * math.pi * step * (xx * yy - xy * xy).clamp_min(0).sqrt()
+    table = torch.stack([x, y, height, opacities * area, step * (xx + yy) / 2])
+    near = (x.abs() < _FAR) & (y.abs() < _FAR)
+    rows = torch.nonzero((height > 0) & (opacities > 0.02) & near & table.sum(0).isfinite())[:, 0]
     if len(rows) == 0:
         return ()
-    table = table if len(rows) == len(table) else table[rows]
+    table = table if len(rows) == table.shape[1] else table[:, rows]
     edges = table.new_tensor(beam.edges)
-    softness = (beam.softness / beam.towards[2] * table[:, 2]).clamp(beam.edges[0], beam.edges[-1])
+    softness = (beam.softness / beam.towards[2] * table[2]).clamp(beam.edges[0], beam.edges[-1])
     lower = torch.bucketize(softness, edges[1:-1])  # softness lies between edges `lower` and `lower + 1`
     share = torch.log(softness / edges[lower]) / torch.log(edges[lower + 1] / edges[lower])
     shadows = []
     for index, edge in enumerate(beam.edges):
         rows = torch.nonzero((lower == index) | (lower == index - 1))[:, 0]
         if len(rows):
-            x, y, _, mass, spread = table[rows].unbind(1)
+            x, y, _, mass, spread = table[:, rows]
             part = torch.where(lower[rows] == index, 1 - share[rows], share[rows])
             shadows.append(_shadow(torch.stack([x, y], 1), mass, spread, part, edge, beam.darkness))
     return tuple(shadows)
@@ -203,21 +216,19 @@ def _shadow(places: Tensor, mass: Tensor, spread: Tensor, share: Tensor, edge: f
     nx, ny = math.ceil(width / cell), math.ceil(height / cell)
     column, row = ((places - places.new_tensor(low)) / cell).long().unbind(1)
     index = row * nx + column
-    whole, part = (
-        _blur(torch.bincount(index, weights, nx * ny).reshape(ny, nx).float() / cell**2, foot / cell)
-        for weights in (mass, mass * share)
-    )
+    image = torch.stack([torch.bincount(index, weights, nx * ny) for weights in (mass, mass * share)])
+    whole, part = _blur(image.reshape(2, ny, nx).float() / cell**2, foot / cell)
     cover = -torch.expm1(-whole) * part / whole.clamp_min(1e-12)
-    return Shadow(_blur(cover, edge / cell).clamp(0, 1), (low[0], low[1]), cell, darkness)
+    return Shadow(_blur(cover[None], edge / cell)[0].clamp(0, 1), (low[0], low[1]), cell, darkness)
 
 
-def _blur(image: Tensor, sigma: float) -> Tensor:
-    """Gaussian of `sigma` cells."""
+def _blur(images: Tensor, sigma: float) -> Tensor:
+    """Gaussian of `sigma` cells, of images (n, height, width)."""
     radius = math.ceil(3 * sigma)
-    offsets = torch.arange(-radius, radius + 1, device=image.device)
+    offsets = torch.arange(-radius, radius + 1, device=images.device)
     kernel = torch.softmax(-0.5 * (offsets / max(sigma, 1e-3)) ** 2, 0)
-    rows = functional.conv2d(image[None, None], kernel[None, None, None, :], padding=(0, radius))
-    return functional.conv2d(rows, kernel[None, None, :, None], padding=(radius, 0))[0, 0]
+    rows = functional.conv2d(images[:, None], kernel[None, None, None, :], padding=(0, radius))
+    return functional.conv2d(rows, kernel[None, None, :, None], padding=(radius, 0))[:, 0]
 
 
 def _rays(camera: Camera, device: torch.device | str) -> Tensor:

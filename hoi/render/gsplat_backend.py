@@ -9,6 +9,7 @@ from torch import Tensor
 
 from hoi.data import Camera
 from hoi.errors import InputError
+from hoi.render.kernels import DILATION, PIXEL
 from hoi.render.splats import Picture, Splats, shade
 
 
@@ -54,6 +55,7 @@ def rasterise_gsplat(
             packed=False,
             render_mode="RGB+D",
             rasterize_mode="antialiased" if antialiased else "classic",
+            eps2d=PIXEL if antialiased else DILATION,
         )
         values, alpha = values[0], alphas[0, ..., 0]
     colour = values[..., :3] + (1 - alpha)[..., None] * on_gpu(background)

@@ -3,12 +3,12 @@
 Conventions are those of 3D Gaussian splatting (Kerbl et al. 2023) as gsplat 1.5 has them, so that pictures agree:
 
     t = R x + t_0                             camera axes: x right, y down, z forward
-    S = M Sigma M^T + 0.3 I,  M = J R         EWA projection (Zwicker et al. 2001); x/z and y/z in J are held near the
-                                              picture
+    S = M Sigma M^T + f I,  M = J R           EWA projection (Zwicker et al. 2001); x/z and y/z in J are held near the
+                                              picture; f = 0.3 px^2, if antialiased a pixel's own 0.1
     p = d^T S^-1 d / 2 = (P d_x + Q d_y)^2 + (R d_y)^2    d from the splat's centre to the pixel's, which is at + 0.5
     alpha = min(0.999, o exp(-p))             left out where o exp(-p) < 1/255
-    o = sqrt(det(S - 0.3 I) / det S) opacity  if antialiased (Yu et al. 2024, Mip-Splatting): fainter by as much as the
-                                              0.3 px^2 widen it; the opacity itself if not
+    o = sqrt(det(S - f I) / det S) opacity    if antialiased (Yu et al. 2024, Mip-Splatting): fainter by as much as f
+                                              widens it; the opacity itself if not
     w_i = alpha_i T_i,  T_i+1 = T_i (1 - alpha_i)   front to back; a pixel is full before the splat that would take T to
                                               1e-4 or less
 
@@ -24,12 +24,20 @@ both add up the same in the same order.
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportOptionalCall=false
 # pyright: reportOperatorIssue=false
 
-from hoi.compute import CPU_TASK, ti
+from typing import TYPE_CHECKING
+
+from hoi.compute import CPU_TASK, Precision, start_compiler, ti
+from hoi.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 DILATION = 0.3
-"""Added to the variances of a splat [px^2]."""
+"""Added to the variances of a splat [px^2], 3DGS's."""
+PIXEL = 0.1
+"""The same if antialiased, Mip-Splatting's: little more than the variance of a pixel's box, 1/12."""
 LEAST_SHARE = 2.5e-5
-"""Of det(S - 0.3 I) in det S that antialiasing takes into account, as 3DGS has it: below it the root has no useful
+"""Of det(S - f I) in det S that antialiasing takes into account, as 3DGS has it: below it the root has no useful
 slope."""
 MAX_ALPHA = 0.999
 """Of a Gaussian in a pixel, so that what is behind it still counts."""
@@ -39,6 +47,20 @@ COLUMNS = 11
 LEFT, TOP, RIGHT, BOTTOM = range(4)
 """Places in a row of `boxes`."""
 array = ti.types.ndarray()
+
+
+def start_kernels(like: "Tensor") -> None:
+    """The compiler where a tensor is, with its precision and as many threads as torch has.
+
+    Raises:
+        InputError: the tensor is of another type than float32 and float64.
+    """
+    import torch
+
+    precisions: dict[torch.dtype, Precision] = {torch.float32: "float32", torch.float64: "float64"}
+    if like.dtype not in precisions:
+        raise InputError(f"splats.means: {like.dtype}; must be float32 or float64")
+    start_compiler(precisions[like.dtype], torch.get_num_threads(), "cuda" if like.is_cuda else "cpu")
 
 
 @ti.func
@@ -105,18 +127,24 @@ def within(edge, first, last):
 
 
 @ti.func
-def projected_covariance(covariances: array, i, m00, m01, m02, m10, m11, m12):
-    """S: xx, xy, yy [px^2]; and Sigma M^T, x before y."""
-    u0, u1, u2 = covariance_times(covariances, i, m00, m01, m02)
-    v0, v1, v2 = covariance_times(covariances, i, m10, m11, m12)
-    xx, xy = m00 * u0 + m01 * u1 + m02 * u2 + DILATION, m10 * u0 + m11 * u1 + m12 * u2
-    return xx, xy, m10 * v0 + m11 * v1 + m12 * v2 + DILATION, u0, u1, u2, v0, v1, v2
+def filter_of(antialiased: ti.template()):
+    """f [px^2]."""
+    return ti.static(PIXEL if antialiased else DILATION)
 
 
 @ti.func
-def kept_share(xx, xy, yy):
-    """det(S - 0.3 I) / det S."""
-    return ((xx - DILATION) * (yy - DILATION) - xy * xy) / (xx * yy - xy * xy)
+def projected_covariance(covariances: array, i, wider, m00, m01, m02, m10, m11, m12):
+    """S: xx, xy, yy [px^2]; and Sigma M^T, x before y."""
+    u0, u1, u2 = covariance_times(covariances, i, m00, m01, m02)
+    v0, v1, v2 = covariance_times(covariances, i, m10, m11, m12)
+    xx, xy = m00 * u0 + m01 * u1 + m02 * u2 + wider, m10 * u0 + m11 * u1 + m12 * u2
+    return xx, xy, m10 * v0 + m11 * v1 + m12 * v2 + wider, u0, u1, u2, v0, v1, v2
+
+
+@ti.func
+def kept_share(xx, xy, yy, wider):
+    """det(S - f I) / det S."""
+    return ((xx - wider) * (yy - wider) - xy * xy) / (xx * yy - xy * xy)
 
 
 @ti.kernel
@@ -133,10 +161,13 @@ def project(
         if z >= lens[8] and opacity >= cut:
             m00, m01, m02 = projected_axis(pose, 0, lens[0], held(x, z, lens[4], lens[5]), z)
             m10, m11, m12 = projected_axis(pose, 1, lens[1], held(y, z, lens[6], lens[7]), z)
-            xx, xy, yy, _0, _1, _2, _3, _4, _5 = projected_covariance(covariances, i, m00, m01, m02, m10, m11, m12)
+            wider = filter_of(antialiased)
+            xx, xy, yy, _0, _1, _2, _3, _4, _5 = projected_covariance(
+                covariances, i, wider, m00, m01, m02, m10, m11, m12
+            )
             determinant = xx * yy - xy * xy
             if ti.static(antialiased):
-                opacity *= ti.sqrt(ti.max(kept_share(xx, xy, yy), LEAST_SHARE))
+                opacity *= ti.sqrt(ti.max(kept_share(xx, xy, yy, wider), LEAST_SHARE))
             end = ti.log(opacity / cut)
             if determinant > 0.0 and end >= 0.0:
                 centre_x, centre_y = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
@@ -167,7 +198,10 @@ def project_back(
             tx, ty = held(x, z, lens[4], lens[5]), held(y, z, lens[6], lens[7])
             m00, m01, m02 = projected_axis(pose, 0, lens[0], tx, z)
             m10, m11, m12 = projected_axis(pose, 1, lens[1], ty, z)
-            xx, xy, yy, u0, u1, u2, v0, v1, v2 = projected_covariance(covariances, i, m00, m01, m02, m10, m11, m12)
+            wider = filter_of(antialiased)
+            xx, xy, yy, u0, u1, u2, v0, v1, v2 = projected_covariance(
+                covariances, i, wider, m00, m01, m02, m10, m11, m12
+            )
             # dL/dS, as a full symmetric matrix, by way of the determinant
             determinant = xx * yy - xy * xy
             to_q = given[i, Q] / ti.sqrt(2.0 * determinant * yy)
@@ -178,12 +212,12 @@ def project_back(
             sxy = -share * xy - 0.5 * to_q
             syy = share * xx + 0.5 * (by_p - by_q - by_r) / yy
             if ti.static(antialiased):
-                kept = kept_share(xx, xy, yy)
+                kept = kept_share(xx, xy, yy, wider)
                 if kept > LEAST_SHARE:
                     by_kept = 0.5 * given[i, OPACITY] * opacities[i] / ti.sqrt(kept) / determinant
-                    sxx += by_kept * (yy - DILATION - kept * yy)
+                    sxx += by_kept * (yy - wider - kept * yy)
                     sxy += by_kept * xy * (kept - 1.0)
-                    syy += by_kept * (xx - DILATION - kept * xx)
+                    syy += by_kept * (xx - wider - kept * xx)
             # dL/dSigma = M^T (dL/dS) M
             for k, n0, n1 in ti.static(((0, m00, m10), (1, m01, m11), (2, m02, m12))):
                 for_x, for_y = sxx * n0 + sxy * n1, sxy * n0 + syy * n1

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hoi.compute import Precision, start_compiler
 from hoi.data import Camera
 from hoi.errors import InputError
 from hoi.render import Backend, blend_pixels, blend_rows, kernels
@@ -36,8 +35,8 @@ class Settings:
     exact: bool = False
     """The exponential function to the last digit rather than to 4e-5. Always in float64."""
     antialiased: bool = False
-    """Make up for the 0.3 px^2 that each splat is widened by, in its opacity: small ones far away stay as thin as
-    they are."""
+    """Widen each splat by a pixel's own 0.1 px^2 instead of 0.3, and make up for it in its opacity: small ones far away
+    stay as thin as they are."""
     by_pixel: bool | None = None
     """Blend pixel by pixel rather than row by row; None: on a GPU."""
 
@@ -79,7 +78,7 @@ def rasterise(
         raise InputError(f"backend {backend!r}; allowed are {', '.join(get_args(Backend))}")
     colours = shade(splats, _eye(camera, splats.means), sh_degree)
     behind = _background(background, camera, splats.means)
-    _start(splats.means)
+    kernels.start_kernels(splats.means)
     colour, alpha, z = _Rasterise.apply(
         splats.means, splats.covariances, splats.opacities, colours, behind, camera, settings, depth
     )
@@ -209,7 +208,7 @@ class _Rasterise(torch.autograd.Function):
 def _flat(part: Splats, camera: Camera, sh_degree: int | None, settings: Settings = Settings()) -> _Flat:
     check(part)
     colours = shade(part, _eye(camera, part.means), sh_degree)
-    _start(part.means)
+    kernels.start_kernels(part.means)
     return _project(part.means, part.covariances, part.opacities, colours, camera, settings)
 
 
@@ -350,14 +349,6 @@ def _queue() -> Tensor:
 
 def _by_pixel(settings: Settings, splats: Tensor) -> bool:
     return splats.is_cuda if settings.by_pixel is None else settings.by_pixel
-
-
-def _start(like: Tensor) -> None:
-    """Taichi where the tensor is, with its precision and as many threads as torch has."""
-    precisions: dict[torch.dtype, Precision] = {torch.float32: "float32", torch.float64: "float64"}
-    if like.dtype not in precisions:
-        raise InputError(f"splats.means: {like.dtype}; must be float32 or float64")
-    start_compiler(precisions[like.dtype], torch.get_num_threads(), "cuda" if like.is_cuda else "cpu")
 
 
 def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:

@@ -15,8 +15,9 @@ from torch.utils.checkpoint import checkpoint
 from hoi.data import Camera
 from hoi.render.splats import Picture, Splats, shade
 
-BLUR = 0.3
-"""Added to the diagonal of each projected covariance [px^2]: no Gaussian falls between pixels."""
+BLUR, PIXEL = 0.3, 0.1
+"""Added to the diagonal of each projected covariance [px^2], the second if antialiased: no Gaussian falls between
+pixels."""
 LEAST_SHARE = 2.5e-5
 """Of the determinant before the blur in that after it that `antialiased` takes into account."""
 MAX_ALPHA = 0.999
@@ -53,13 +54,13 @@ def rasterise_reference(
     means, covariances, opacities, sh = (array.double()[order] for array in arrays)
     turns = None if splats.turns is None else splats.turns.double()[order]
     seen = Splats(means, covariances, opacities, sh, turns)
-    centres, spreads, depths = _project(seen, camera, pose)
+    centres, spreads, depths = _project(seen, camera, pose, PIXEL if antialiased else BLUR)
     xx, xy, yy = spreads[:, 0, 0], spreads[:, 0, 1], spreads[:, 1, 1]
     determinants = xx * yy - xy * xy
     definite = (determinants > 0) & (xx > 0)
     conics = torch.stack([yy, -xy, xx], dim=-1) / determinants[:, None]
     if antialiased:
-        sharp = (xx - BLUR) * (yy - BLUR) - xy * xy
+        sharp = (xx - PIXEL) * (yy - PIXEL) - xy * xy
         seen = replace(seen, opacities=seen.opacities * (sharp / determinants).clamp_min(LEAST_SHARE).sqrt())
     colours = shade(seen, torch.as_tensor(camera.position, dtype=torch.float64, device=device), sh_degree)
     values = torch.cat([colours, depths[:, None]], dim=1)
@@ -81,14 +82,14 @@ def rasterise_reference(
     )
 
 
-def _project(splats: Splats, camera: Camera, pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _project(splats: Splats, camera: Camera, pose: Tensor, blur: float) -> tuple[Tensor, Tensor, Tensor]:
     """Centres [pixel] (N, 2), covariances [pixel^2] (N, 2, 2) and camera z [m] (N,): EWA's local affine projection."""
     points = splats.means @ pose[:3, :3].T + pose[:3, 3]
     x, y, z = points.unbind(-1)
     centres = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
     root = _jacobian(points, camera) @ pose[:3, :3]
     symmetric = (splats.covariances + splats.covariances.mT) / 2
-    return centres, root @ symmetric @ root.mT + BLUR * torch.eye(2, dtype=pose.dtype, device=pose.device), z
+    return centres, root @ symmetric @ root.mT + blur * torch.eye(2, dtype=pose.dtype, device=pose.device), z
 
 
 def _jacobian(points: Tensor, camera: Camera) -> Tensor:

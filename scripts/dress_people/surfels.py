@@ -25,6 +25,8 @@ OVERLAP, FLATNESS, INSET = 0.5, 0.12, 0.0008
 FAINTEST = 0.12
 """Of texture alpha; fainter hair is left out."""
 RAYS = 128
+LINING = 0.08
+"""How far from their edges clothes show their inside [m]."""
 THICKEST_LAYER = 0.025
 """What has another layer so close outside it [m], and little light, is never seen."""
 
@@ -44,6 +46,8 @@ class Surfels:
     weights: Array
     spacing: Array
     """Distance to neighbours [m], (N,)."""
+    closed: NDArray[np.bool_]
+    """Whether its back is never to be seen: skin, and clothes away from their edges, (N,)."""
 
 
 def sample(person: Base, parts: list[Part], count: int, rng: np.random.Generator) -> Surfels:
@@ -121,9 +125,19 @@ def _to_t_pose(person: Base, row: dict[str, Array]) -> Surfels:
     thin = np.isin(kind, ("brow", "lash"))
     scales[thin, :2] *= 0.75
     opacities[thin] *= 0.6
+    closed = (kind == "skin") | (solid & (row["edge"] > LINING))
     openness = back(row["openness"]) * np.linalg.norm(row["openness"], axis=1, keepdims=True)
     return Surfels(
-        means, quaternions, scales, opacities, to_shown(row["rgb"]), back(row["shading"]), openness, weights, spacing
+        means,
+        quaternions,
+        scales,
+        opacities,
+        to_shown(row["rgb"]),
+        back(row["shading"]),
+        openness,
+        weights,
+        spacing,
+        closed,
     )
 
 

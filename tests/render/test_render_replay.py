@@ -122,15 +122,23 @@ def test_what_stands_still_is_the_same_object(run: Run) -> None:
     np.testing.assert_allclose(people[5].means, posed_means(run.scene.body, motion)[3], atol=1e-5)
 
 
-def test_frames_in_any_order_and_block_are_the_same(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = replay(run)
-    expected = [whole.parts(frame) for frame in range(8)]
-    monkeypatch.setattr("hoi.render.replay.BLOCK", 700)  # two frames
-    player = replay(run)
-    for frame in (7, 0, 1, 6, 5, 2):
-        for part, other in zip(player.parts(frame), expected[frame], strict=True):
-            np.testing.assert_allclose(part.means, other.means, atol=1e-6)
-            np.testing.assert_allclose(part.covariances, other.covariances, atol=1e-9)
+def test_frames_in_any_order_are_the_differentiable_poses(run: Run) -> None:
+    motion, cloud = run.state.motion, run.scene.body.cloud
+    normals = np.random.default_rng(0).normal(size=(len(cloud), 2, 3)).astype(np.float32)
+    body = replace(run.scene.body, cloud=replace(cloud, surface=normals))
+    turned = replace(cloud, sh=np.concatenate([cloud.sh[:, :1], np.ones((len(cloud), 3, 3), np.float32)], 1))
+    for shown in (body, replace(body, cloud=turned)):
+        arrays = (motion.translation, motion.orientation, motion.body_pose)
+        expected = posed(person_tensors(shown, torch.float64), *(torch.tensor(a, dtype=torch.float64) for a in arrays))
+        player = replay(replace(run, scene=replace(run.scene, body=shown)))
+        for frame in (7, 0, 1, 6, 5, 2):
+            part, other = player.parts(frame)[0], expected[frame]
+            np.testing.assert_allclose(part.means, other.means, atol=3e-6)
+            np.testing.assert_allclose(part.covariances, other.covariances, atol=1e-8)
+            if other.surface is not None:
+                np.testing.assert_allclose(part.surface, other.surface, atol=2e-5)
+            if other.turns is not None:
+                np.testing.assert_allclose(part.turns, other.turns, atol=1e-5)
 
 
 def test_a_record_shows_what_the_run_shows(run: Run, tmp_path) -> None:
