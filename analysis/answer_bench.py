@@ -17,6 +17,7 @@ from contextlib import ExitStack, contextmanager
 from unittest import mock
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 
@@ -121,4 +122,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

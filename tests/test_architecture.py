@@ -16,7 +16,7 @@ from tests.conftest import ROOT, listed_slow
 
 COMPILERS = {"taichi", "quadrants"}
 ROOMS = """
-    hoi errors streams callable
+    hoi errors streams callable caches
     data files compute
     frames reports gaussians mpm
     terminal body objects

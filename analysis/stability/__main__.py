@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from .. import command
 from .cases import CASES, Case, quick
@@ -101,4 +102,4 @@ def _say(text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

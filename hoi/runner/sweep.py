@@ -2,6 +2,7 @@
 line and one record, and no concern of the others.
 """
 
+import atexit
 import multiprocessing
 import os
 import pickle
@@ -20,6 +21,7 @@ from omegaconf import DictConfig
 
 from hoi.errors import InputError, RunError
 from hoi.runner.execute import execute, is_finished, let_go, record_failure
+from hoi.terminal.program import lasting_console
 
 WATCH = 1.0
 """How often a worker looks whether its sweep is still there [s]."""
@@ -36,6 +38,8 @@ class Ended:
     """Its folder."""
     failure: str = ""
     """Why it failed, in one line; empty when it is done."""
+    planned: bool = False
+    """Whether its plan was printed, and no more."""
 
 
 def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: int) -> Ended:
@@ -47,7 +51,7 @@ def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: int) -> Ende
     try:
         if composed.plan_only or is_finished(composed):
             execute(composed, overrides)
-            return Ended(composed.out)
+            return Ended(composed.out, planned=bool(composed.plan_only))
         failure = _in_own_process(composed, overrides, sweep)
     except (InputError, RunError) as error:
         failure = _line(error)
@@ -71,7 +75,9 @@ def report(results: Sequence[JobReturn]) -> None:
         print(f"hoi: {run.out}: {run.failure}", file=sys.stderr)
     if failed:
         raise RunError(f"{len(failed)} of {len(ended)} runs failed; the same command tries them again, and no others")
-    if ended:
+    if ended and all(run.planned for run in ended):
+        print(f"the plans of {len(ended)} runs; none of them was run")
+    elif ended:
         print(f"all {len(ended)} runs of the sweep are done")
 
 
@@ -139,6 +145,7 @@ def _line(error: Exception) -> str:
 
 def main() -> None:
     """The process of one run."""
+    lasting_console()
     composed, overrides = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_sweep, daemon=True).start()
     failure = ""
@@ -150,7 +157,8 @@ def main() -> None:
         traceback.print_exc()
         failure = f"{type(error).__name__}: {_line(error)}"
     sys.stdout.flush()
-    os.write(int(sys.argv[1]), failure.encode())
+    os.write(int(sys.argv[1]), failure.encode(errors="backslashreplace"))
+    atexit._run_exitfuncs()
     os._exit(0)  # the thread that waits for the end of stdin would hold up Python's own
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from hoi.errors import InputError
 from hoi.terminal.arguments import Parser
 from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 
 def _port(text: str) -> int:
@@ -64,4 +65,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)
