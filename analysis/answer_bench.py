@@ -19,6 +19,7 @@ from typing import Any
 from unittest import mock
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 
@@ -166,4 +167,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

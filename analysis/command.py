@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 from hoi.errors import InputError, RunError
-from hoi.terminal.pipe import until_unread
 
 Given = ParamSpec("Given")
 
@@ -32,8 +31,7 @@ def exit_code(module: str) -> Callable[[Callable[Given, int | None]], Callable[G
         @functools.wraps(main)
         def ended(*args: Given.args, **kwargs: Given.kwargs) -> int:
             try:
-                with until_unread():
-                    return main(*args, **kwargs) or 0
+                return main(*args, **kwargs) or 0
             except (InputError, RunError, OSError) as error:
                 print(f"{module}: {error}", file=sys.stderr)
                 return 3 if isinstance(error, RunError) else 2

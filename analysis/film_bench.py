@@ -8,7 +8,6 @@ slows all alike: the ratios are medians over the rounds.
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 
@@ -163,4 +163,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

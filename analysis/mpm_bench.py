@@ -6,13 +6,13 @@ measured beside it, on all cores as it always runs, where it is installed: here,
 
 import math
 import os
-import sys
 from collections.abc import Callable
 
 import numpy as np
 
 from hoi.data import Material
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 from .command import timed
@@ -126,4 +126,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -17,6 +17,7 @@ import numpy as np
 
 from hoi.config.compose import config_of
 from hoi.files import CONF
+from hoi.terminal.program import program
 
 from . import command
 
@@ -120,4 +121,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

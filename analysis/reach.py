@@ -18,6 +18,7 @@ from hoi.config import Config
 from hoi.config.compose import config_of
 from hoi.data import Array
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command, sheets
 
@@ -152,4 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -5,12 +5,13 @@
 Writes reality.csv, .md and .png. A module joins in with a tuple EXPERIMENTS of `analysis.experiments.Experiment`.
 """
 
-import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
 import pandas as pd
+
+from hoi.terminal.program import program
 
 from . import command
 from .experiments import Experiment
@@ -86,4 +87,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 from .command import timed
@@ -299,4 +300,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -25,6 +25,7 @@ import numpy as np
 
 from hoi.config.compose import config_of
 from hoi.data import Motion
+from hoi.terminal.program import program
 
 from . import command, sheets
 
@@ -153,4 +154,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

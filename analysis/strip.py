@@ -21,6 +21,7 @@ from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Run
 from hoi.errors import InputError
 from hoi.render.cameras import TOP_UP, VIEWS, Camera, fitting_width, frame_action, project
+from hoi.terminal.program import program
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -271,4 +272,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

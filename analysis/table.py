@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from hoi.errors import InputError
-from hoi.terminal.pipe import until_unread
+from hoi.terminal.program import program
 
 from .learned.sidecar import SCORES, read_scores, sidecar_path
 
@@ -213,5 +213,4 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
 
 
 if __name__ == "__main__":
-    with until_unread():
-        sys.exit(main())
+    program(main)

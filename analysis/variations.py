@@ -6,7 +6,6 @@ object leaves, how high they meet, and with which limb. `make variations ARGS='s
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 
@@ -96,4 +96,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -5,10 +5,10 @@ measured but counted on shapes alone are the operations of the 5B at each length
 are a few million, so that a CPU does it too. Rendering is not in it.
 """
 
-import sys
 from pathlib import Path
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command, sheets
 
@@ -56,4 +56,4 @@ def main(argv: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -20,6 +20,7 @@ import numpy as np
 
 from hoi.data import Array
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from . import command
 
@@ -171,4 +172,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

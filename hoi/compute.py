@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hoi.caches import caches
 from hoi.errors import InputError
 
 Precision = Literal["float32", "float64"]
@@ -47,11 +48,26 @@ def compiler() -> str:
 
 @functools.cache
 def _compiler() -> Any:
-    """The package, imported."""
+    """The package, imported.
+
+    Its core aborts the process where it has no home to keep its cache in, and crashes at the end where it may not write
+    there: it is told another one before it looks.
+
+    Raises:
+        InputError: there is none, or it cannot be imported here.
+    """
     for variable, value in QUIET.items():
         os.environ.setdefault(variable, value)
     _skip_the_importer()
-    return importlib.import_module(compiler())
+    if (folder := caches()) is None:
+        raise InputError("XDG_CACHE_HOME", os.environ.get("XDG_CACHE_HOME", "nothing"),
+                         "a folder that can be written to: neither home nor the temporary folder can")  # fmt: skip
+    os.environ["XDG_CACHE_HOME"] = str(folder)
+    try:
+        return importlib.import_module(compiler())
+    except ImportError as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{compiler()}, which compiles the kernels, cannot be imported: {said}") from error
 
 
 def _skip_the_importer() -> None:

@@ -16,7 +16,7 @@ from tests.conftest import ROOT, listed_slow
 
 COMPILERS = {"taichi", "quadrants"}
 ROOMS = """
-    hoi errors streams callable adam
+    hoi errors streams callable adam caches
     data files compute gpu
     frames reports gaussians mpm
     terminal body objects

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 
 def main() -> None:
@@ -29,4 +30,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    program(main)

@@ -19,6 +19,7 @@ from hoi.errors import InputError, RunError
 from hoi.motion.text import default_cache, minilm
 from hoi.plan import make_plan
 from hoi.reports import Stages
+from hoi.runner.arguments import arguments
 from hoi.runner.execute import RECORD, already_there
 from hoi.runner.jobs import outcome, peak_memory_mb, pick_device, record, torch_threads
 from hoi.runner.provenance import provenance
@@ -115,8 +116,9 @@ def compose_and_execute(folder: Path | None) -> int:
             code = max(code, 2 if isinstance(error, InputError) else 3)
 
     try:
+        sys.argv[1:] = arguments(sys.argv[1:])
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (InputError, HydraException, OmegaConfBaseException) as error:
         print(f"baseline: {one_line(error)}", file=sys.stderr)
         code = 2
     except OSError as error:

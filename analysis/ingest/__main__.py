@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hoi.errors import InputError, RunError
 from hoi.terminal.arguments import Parser
-from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 from . import meshes
 
@@ -57,5 +57,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    with interruptible():
-        sys.exit(main())
+    program(main)

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
+from hoi.terminal.program import program
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -66,4 +67,4 @@ def _run(options: argparse.Namespace) -> bool:
 
 
 if __name__ == "__main__":
-    main()
+    program(main)

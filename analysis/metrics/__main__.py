@@ -1,5 +1,7 @@
 """The metrics as a table for docs/benchmark.md: `python -m analysis.metrics`."""
 
+from hoi.terminal.program import program
+
 from . import GROUPS, METRICS
 
 
@@ -17,4 +19,4 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    print(table(), end="")
+    program(lambda: print(table(), end=""))

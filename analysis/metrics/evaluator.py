@@ -17,6 +17,7 @@ from safetensors import SafetensorError, safe_open
 from scipy.special import erf
 
 import hoi
+from hoi.caches import user_caches
 from hoi.data import Array
 from hoi.errors import InputError
 
@@ -130,12 +131,11 @@ def shipped_prompts() -> dict[str, Array]:
 
 def _cached(sentence: str) -> Array | None:
     """From where `hoi.motion.text` keeps what has been embedded before."""
-    import os
-
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hoi" / "text"
+    if (folder := user_caches()) is None:
+        return None
     key = hashlib.sha256("\0".join(["minilm", judge().text_encoder, sentence]).encode()).hexdigest()
     try:
-        with safe_open(folder / f"{key}.safetensors", framework="numpy") as file:
+        with safe_open(folder / "hoi" / "text" / f"{key}.safetensors", framework="numpy") as file:
             same = (file.metadata() or {}).get("sentence") == sentence
             return file.get_tensor("embedding") if same else None
     except (OSError, SafetensorError):

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from hoi.config import CONF
+from hoi.terminal.program import program
 
 from .evaluator import PROMPTS
 
@@ -35,4 +36,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    program(main)

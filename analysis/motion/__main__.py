@@ -14,8 +14,9 @@ strike's limb, speed and skating) and motion.md with both tables. Exit codes: 0 
     bones      largest relative error of a bone's length, after decoding
 """
 
-import sys
 from pathlib import Path
+
+from hoi.terminal.program import program
 
 from .. import command
 
@@ -50,4 +51,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -11,13 +11,13 @@ Writes rendering.csv, rendering.md and rendering.png. Of stage 3: contacts, each
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from .. import command, sheets
 
@@ -132,4 +132,4 @@ def _contacts(arguments: argparse.Namespace, _: Sequence[str]) -> Study:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

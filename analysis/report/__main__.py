@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
+from hoi.terminal.program import program
 
 LIMIT = 200
 """Megabytes of pictures and videos."""
@@ -46,4 +47,4 @@ def main(arguments: list[str] | None = None, say: Callable[[str], None] = print)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

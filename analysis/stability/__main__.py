@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 from .. import command
 from . import blows
@@ -103,4 +104,4 @@ def _say(text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hoi.errors import InputError, RunError
+from hoi.terminal.program import program
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,4 +65,4 @@ def _score(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

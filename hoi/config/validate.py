@@ -1,6 +1,9 @@
 """From what Hydra composed to a checked config: every problem at once, each a line that names field, value and rule."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -11,6 +14,10 @@ from hoi.config import CONF, Config, HumanKind, MaterialConf, ObjectKind, PlaneC
 from hoi.errors import InputError
 from hoi.stages.contract import Requirements
 
+LARGEST = 2**63 - 1
+"""What a record's and a generator's numbers can hold."""
+MOST_SEEDS = 4096
+
 
 def to_config(composed: DictConfig) -> Config:
     """The composed, checked configuration as dataclasses.
@@ -18,15 +25,37 @@ def to_config(composed: DictConfig) -> Config:
     Raises:
         InputError: a missing value, or anything `validate` finds; one line a problem.
     """
+    if deleted := sorted({field.name for field in fields(Config)} - set(composed.keys())):
+        raise InputError(f"{', '.join(deleted)}: no value given; ~{deleted[0]} takes it away")
     composed = with_materials(composed)
     missing = sorted(OmegaConf.missing_keys(composed))
     if missing:
         raise InputError(f"{', '.join(missing)}: no value given")
+    if strange := list(_strange(composed)):
+        raise InputError("\n".join(strange))
     config: Any = OmegaConf.to_object(composed)
     problems = validate(config)
     if problems:
         raise InputError("\n".join(problems))
     return config
+
+
+def _strange(node: DictConfig, prefix: str = "") -> Iterator[str]:
+    """A line for each key that has no place in the schema (`+key=` puts any there), and each one taken out of it."""
+    schema = OmegaConf.get_type(node)
+    if not is_dataclass(schema):
+        return
+    known = [field.name for field in fields(schema)]
+    for key in map(str, node):
+        if key not in known:
+            near = get_close_matches(key, known, 1, cutoff=0)
+            yield f"{prefix}{key}: there is no such key; the nearest is {prefix}{near[0]}"
+    for key in known:
+        inner = node._get_node(key)
+        if inner is None:
+            yield f"{prefix}{key}: no value given; ~{prefix}{key} takes it away"
+        elif isinstance(inner, DictConfig) and not inner._is_none():
+            yield from _strange(inner, f"{prefix}{key}.")
 
 
 def with_materials(composed: DictConfig) -> DictConfig:
@@ -89,7 +118,8 @@ def validate(config: Config) -> list[str]:
     require = Requirements()
     scene, stage, placement = config.scene, config.stage, config.scene.placement
     require(config.seed >= 0, "seed", config.seed, "0 or more")
-    require(config.seeds >= 1, "seeds", config.seeds, "1 or more")
+    require(config.seed <= LARGEST, "seed", config.seed, f"at most {LARGEST}")
+    require(1 <= config.seeds <= MOST_SEEDS, "seeds", config.seeds, f"in [1, {MOST_SEEDS}]")
     require(config.threads is None or config.threads >= 1, "threads", config.threads, "1 or more, or null")
     require(config.human_points >= 100, "human_points", config.human_points, "100 or more")
     count, given = config.human.gaussians, config.human.kind is HumanKind.smpl

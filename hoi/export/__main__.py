@@ -14,7 +14,7 @@ from pkgutil import resolve_name
 
 from hoi.errors import InputError, RunError
 from hoi.terminal.arguments import Parser
-from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 CHOICES = {
     "glb": ("scene.glb", "glTF 2.0: skinned person and moving object, for Blender, three.js, game engines"),
@@ -125,5 +125,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    with interruptible():
-        sys.exit(main())
+    program(main)

@@ -7,7 +7,6 @@ into a run as `human=avatar human.path=FOLDER`. See docs/people.md.
 import argparse
 import math
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from hoi.data import Body
 from hoi.errors import InputError
 from hoi.importers.unpickle import read_arrays
 from hoi.terminal.arguments import refusing
+from hoi.terminal.program import program
 
 
 def read_betas(text: str) -> list[float]:
@@ -110,4 +110,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -10,7 +10,6 @@ import argparse
 import math
 import re
 import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from hoi.importers.physgaussian.reader import CAMERA, SceneFile, read_scene_file
 from hoi.mpm.materials import check_material
 from hoi.mpm.stability import time_step_limit
 from hoi.terminal.arguments import refusing
+from hoi.terminal.program import program
 
 REACH = 1.0
 """Way from the person to the object [m]."""
@@ -306,4 +306,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

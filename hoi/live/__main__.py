@@ -13,6 +13,7 @@ from pathlib import Path
 from hoi.errors import InputError, RunError
 from hoi.terminal.arguments import Parser
 from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 from hoi.view.serving import add_server_options, serve
 
 
@@ -46,4 +47,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

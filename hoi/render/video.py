@@ -18,7 +18,7 @@ from hoi.errors import InputError, RunError
 from hoi.render import Backend, Ground
 from hoi.render.cameras import ACTION, HEIGHT, VIEWS, WIDTH, to_json
 from hoi.terminal.arguments import Parser
-from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 CHOICES = (ACTION, *VIEWS, "turntable", "all")
 
@@ -148,5 +148,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    with interruptible():
-        sys.exit(main())
+    program(main)

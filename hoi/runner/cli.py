@@ -1,10 +1,12 @@
 """The command `hoi`: what there is to do, and the way to it. `hoi run ...` is `python -m hoi.run ...`, and so on.
 
-No imports but Python's own: every command is a program that this one becomes.
+Nothing heavy is imported: every command is a program that this one becomes.
 """
 
 import os
 import re
+import runpy
+import shlex
 import sys
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from hoi import __version__
+from hoi.terminal.program import lasting_console
 
 
 @dataclass(frozen=True)
@@ -114,12 +117,10 @@ def overview() -> str:
 
 def main() -> None:
     """Entry point of `hoi`. Exit codes are the command's own; 2 for a command that is not there."""
+    lasting_console()
     first, *rest = sys.argv[1:] or ["--help"]
     if first in ("-h", "--help", "help"):
-        from hoi.terminal.pipe import until_unread
-
-        with until_unread():
-            print(overview())
+        print(overview())
     elif first in ("-V", "--version"):
         print(f"hoi {__version__}")
     elif first in COMPLETION:
@@ -137,12 +138,18 @@ def main() -> None:
 def _become(module: str, arguments: list[str]) -> NoReturn:
     """This process goes on as `python -m module`: its signals, output and exit code are that program's."""
     sys.stdout.flush()
+    if not sys.executable:  # Python was not told where it is
+        sys.argv = [module, *arguments]
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        sys.exit(0)
     os.execv(sys.executable, [sys.executable, "-m", module, *arguments])
 
 
 def _unknown(word: str) -> int:
     if "=" in word:
         meant = f"hoi run {word}"
+    elif " " in word.strip():
+        meant = f"hoi run {shlex.quote(word)}"
     else:
         meant = f"hoi {get_close_matches(word, modules(), 1, cutoff=0)[0]}"
     print(f"hoi: no command {word}; the nearest is {meant} (hoi --help lists them all)", file=sys.stderr)

@@ -21,7 +21,7 @@ from hoi.data import Plan
 from hoi.errors import InputError
 from hoi.gpu import GPU, gpus
 from hoi.plan import make_plan
-from hoi.terminal.pipe import until_unread
+from hoi.terminal.program import program
 
 DEFAULT = "laptop"
 PYTHON = (3, 11)
@@ -114,5 +114,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    with until_unread():
-        sys.exit(main())
+    program(main)

@@ -1,6 +1,7 @@
 """The command line of a run: compose, and hand on to `hoi.runner.execute`. No science here.
 
     python -m hoi.run scene=kick_soccer_ball ablation=no_mpm seed=1
+    python -m hoi.run "a person kicks the ball with the left foot"
     python -m hoi.run --config-dir sweeps --config-name ablations
 
 Exit codes: 0 done; 2 bad input; 3 the run itself, or one of a sweep, failed; 130 interrupted.
@@ -16,12 +17,16 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import CONF, register
-from hoi.config.compose import one_line
+from hoi.config.compose import one_line, raised_by_hydra, settled
 from hoi.errors import InputError, RunError
+from hoi.runner.arguments import arguments
 from hoi.runner.execute import execute, what_next
 from hoi.runner.sweep import Ended, run_of_sweep
 from hoi.terminal.interrupt import interruptible
-from hoi.terminal.pipe import ENDED, until_unread
+from hoi.terminal.program import lasting_console
+
+OUR_SWEEPERS = "hydra_plugins.hoi_"
+"""They report what failed; others know nothing of it."""
 
 
 def main() -> None:
@@ -29,14 +34,13 @@ def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - what starts this may be any
         sys.exit(f"hoi needs Python 3.11 or newer, this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
-    with interruptible(), until_unread():
+    lasting_console()
+    with interruptible():
         sys.exit(_compose_and_execute())
 
 
 def _compose_and_execute() -> int:
     """All jobs of the command line; the exit code."""
-    register()
-    _share_config_store()
     code, this = 0, os.getpid()
 
     def job(composed: DictConfig) -> Ended | None:
@@ -44,20 +48,24 @@ def _compose_and_execute() -> int:
         from hydra.core.hydra_config import HydraConfig
 
         settings = HydraConfig.get()
-        overrides = list(settings.overrides.task)
+        overrides, composed = list(settings.overrides.task), settled(composed)
         if settings.mode is not None and settings.mode.name == "MULTIRUN":
-            return run_of_sweep(composed, overrides, this)
+            ended = run_of_sweep(composed, overrides, this)
+            if ended.failure and not settings.sweeper._target_.startswith(OUR_SWEEPERS):
+                raise RunError(f"{ended.out}: {ended.failure}")  # nobody else would say so
+            return ended
         try:
             if records := execute(composed, overrides):
                 print(what_next(records))
         except (InputError, RunError) as error:
             print(f"hoi: {error}", file=sys.stderr)
             code = 2 if isinstance(error, InputError) else 3
-        except BrokenPipeError:  # Hydra would tell of it; `until_unread` ends the program
-            code = ENDED
         return None
 
     try:
+        sys.argv[1:] = arguments(sys.argv[1:])
+        register()
+        _share_config_store()
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except RunError as error:
         print(f"hoi: {error}", file=sys.stderr)
@@ -67,6 +75,11 @@ def _compose_and_execute() -> int:
         code = 2
     except OSError as error:
         print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)
+        code = 2
+    except Exception as error:
+        if not raised_by_hydra(error):
+            raise
+        print(f"hoi: {one_line(error)}", file=sys.stderr)
         code = 2
     return code
 

@@ -25,6 +25,7 @@ import numpy as np
 
 from hoi.data import Body, Motion, Plan, Plane, Run, Scene, State, Step
 from hoi.errors import InputError, RunError
+from hoi.terminal.program import program
 
 if TYPE_CHECKING:
     from hoi.method.hmsd import ScoreDistillation
@@ -191,4 +192,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

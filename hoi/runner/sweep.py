@@ -34,6 +34,8 @@ class Ended:
     """Its folder."""
     failure: str = ""
     """Why it failed, in one line; empty when it is done."""
+    planned: bool = False
+    """Whether its plan was printed, and no more."""
 
 
 def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: int) -> Ended:
@@ -45,7 +47,7 @@ def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: int) -> Ende
     try:
         if composed.plan_only or is_finished(composed):
             execute(composed, overrides)
-            return Ended(composed.out)
+            return Ended(composed.out, planned=bool(composed.plan_only))
         failure = _in_own_process(composed, overrides, sweep)
     except (InputError, RunError) as error:
         failure = one_line(error)
@@ -69,7 +71,9 @@ def report(results: Sequence[JobReturn]) -> None:
         print(f"hoi: {run.out}: {run.failure}", file=sys.stderr)
     if failed:
         raise RunError(f"{len(failed)} of {len(ended)} runs failed; the same command tries them again, and no others")
-    if ended:
+    if ended and all(run.planned for run in ended):
+        print(f"the plans of {len(ended)} runs; none of them was run")
+    elif ended:
         print(f"all {len(ended)} runs of the sweep are done")
 
 

@@ -18,6 +18,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from hoi.errors import InputError, RunError
+from hoi.terminal.program import lasting_console
 
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 """What libraries read when they are imported."""
@@ -83,12 +84,14 @@ def main() -> None:
     from hoi.runner.jobs import forget_peak_memory
     from hoi.runner.shelf import Shelf
 
+    lasting_console()
     waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_take, args=[waiting], daemon=True).start()
+    at_work = threading.Event()
+    threading.Thread(target=_take, args=[waiting, at_work], daemon=True).start()
     shelf = Shelf()
-    while True:
-        composed, overrides = waiting.get()
-        failure = ""
+    while (wanted := waiting.get()) is not None:
+        at_work.set()
+        (composed, overrides), failure = wanted, ""
         forget_peak_memory()
         try:
             execute(composed, overrides, shelf)
@@ -98,17 +101,19 @@ def main() -> None:
             traceback.print_exc()
             failure = f"{type(error).__name__}: {one_line(error)}"
         sys.stdout.flush()
+        at_work.clear()
         os.write(int(sys.argv[1]), f"{json.dumps(failure)}\n".encode())
 
 
-def _take(waiting: "queue.SimpleQueue[Any]") -> None:
+def _take(waiting: "queue.SimpleQueue[Any]", at_work: threading.Event) -> None:
     """Takes configs from the sweep, and ends this process when there is no sweep any more."""
     try:
         while True:
             waiting.put(pickle.load(sys.stdin.buffer))
     except EOFError:
-        sys.stdout.flush()
-        os._exit(0)
+        waiting.put(None)
+        if at_work.is_set():
+            os._exit(1)
 
 
 if __name__ == "__main__":

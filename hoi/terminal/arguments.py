@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from hoi.errors import InputError
-from hoi.terminal.pipe import until_unread
 
 
 class Parser(argparse.ArgumentParser):
@@ -20,8 +19,7 @@ class Parser(argparse.ArgumentParser):
 def refusing(command: Callable[[], object]) -> int:
     """Does what a command does; its exit code: 0, or 2 after the line of an `InputError`."""
     try:
-        with until_unread():
-            command()
+        command()
     except InputError as error:
         print(f"hoi: {error}", file=sys.stderr)
         return 2

@@ -8,9 +8,9 @@ log.jsonl and checkpoint.pt, from which `--resume` goes on.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
+from hoi.terminal.program import program
 from hoi.training.arguments import add_folder, add_machine, add_schedule, run
 
 
@@ -39,4 +39,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from hoi.errors import InputError
+from hoi.terminal.program import program
 
 
 def main() -> int:
@@ -38,4 +39,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

@@ -7,8 +7,8 @@ First makes the training clips, which stay in OUT and are made once. OUT then ho
 """
 
 import argparse
-import sys
 
+from hoi.terminal.program import program
 from hoi.training.arguments import add_folder, add_machine, add_schedule, run
 
 
@@ -35,4 +35,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program(main)

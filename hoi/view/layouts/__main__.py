@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hoi.errors import InputError, RunError
 from hoi.terminal.arguments import Parser
-from hoi.terminal.interrupt import interruptible
+from hoi.terminal.program import program
 
 EXAMPLES = """examples:
   python -m hoi.view.layouts foxglove -o hoi.foxglove.json
@@ -56,5 +56,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    with interruptible():
-        sys.exit(main())
+    program(main)
