@@ -232,11 +232,13 @@ def test_a_backend_that_is_not_there_is_refused_before_the_run(tmp_path):
     assert not list((tmp_path / "here").iterdir())
 
 
-def test_without_attraction_it_misses(runs):
-    run, *_ = runs("no_attraction")
-    full, *_ = runs("full")
-    assert push(run) is None
-    assert run.state.contact.smallest_gap > full.state.contact.smallest_gap + 0.05
+def test_without_attraction_nothing_pulls_and_the_person_starts_where_they_did(runs):
+    """One thing differs, L_attr: j*, t* and the placement are the full method's."""
+    (run, *_), (full, *_) = runs("no_attraction"), runs("full")
+    losses = [{name for row in each.history if row["stage"] == "coordinate" for name in row} for each in (run, full)]
+    assert losses[1] - losses[0] == {"attraction"} and not losses[0] - losses[1]
+    assert run.state.target == full.state.target
+    np.testing.assert_allclose(run.state.motion.translation[0], full.state.motion.translation[0], atol=1e-6)
 
 
 def test_without_contact_the_ball_ignores_the_hit(runs):
