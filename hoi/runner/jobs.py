@@ -188,8 +188,9 @@ def struck(config: Config, plan: Plan, state: State) -> str:
         joint = search.smallest_gap_part or JOINT_NAMES[search.smallest_gap_joint]
         where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
         return f"no contact{separating}: smallest gap {where}"
-    expected = push.joint in LIMBS[config.scene.expected_limb]
-    limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
+    wanted = config.scene.expected_limb
+    limb = "as expected" if push.joint in LIMBS.get(wanted, ()) else f"{wanted} was expected"
+    limb = "no limb was named" if wanted not in LIMBS else limb
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
     if plan.implementation("contact") != "collider" or state.trajectory is None:
