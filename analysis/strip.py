@@ -19,7 +19,8 @@ import numpy as np
 from hoi.body.parts import struck_together, struck_with
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.data import Array, Contact, Run
-from hoi.errors import InputError
+from hoi.errors import InputError, RunError
+from hoi.files import whole_file
 from hoi.render.cameras import TOP_UP, VIEWS, Camera, fitting_width, frame_action, project
 from hoi.terminal.program import program
 
@@ -123,7 +124,8 @@ def make_strip(shown: Film, path: Path, count: int = 8, view: str = "three_quart
     for text in words:
         text.set_fontsize(float(text.get_fontsize()) / max(crowding, 1.0))
     try:
-        figure.savefig(path, dpi=DPI)
+        with whole_file(path) as part:
+            figure.savefig(part, dpi=DPI, format="png")
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}") from error
     finally:
@@ -264,9 +266,9 @@ def main(arguments: list[str] | None = None) -> int:
     out = options.out or options.record.with_name("strip.png")
     try:
         make_strip(load(options.record), out, options.frames, options.view)
-    except InputError as error:
+    except (InputError, RunError) as error:
         print(f"strip: {error}", file=sys.stderr)
-        return 2
+        return 2 if isinstance(error, InputError) else 3
     print(out)
     return 0
 

@@ -18,6 +18,22 @@ if not CONF.is_dir():  # a checkout: the folder stands beside the package, a whe
     CONF = Path(__file__).parents[1] / "conf"
 
 
+def check_downloaded(path: Path, said: str = "") -> None:
+    """Raises InputError where a file is a web page or a pointer that was saved in the place of what was meant."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(512).lstrip().lower()
+    except OSError:
+        return  # whoever reads it says so
+    if start.startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
+        what = "a web page, not the file that it speaks of; download it again, perhaps logged in"
+    elif start.startswith(b"version https://git-lfs"):
+        what = "a pointer of Git LFS, not the file itself; git lfs pull fetches it"
+    else:
+        return
+    raise InputError(f"{said}{path} is {what}")
+
+
 @contextmanager
 def whole_file(path: Path, remedy: str = "", elsewhere: str = "write elsewhere") -> Iterator[Path]:
     """A path beside `path` to write to, which takes its place when the block ends well and is removed when not.

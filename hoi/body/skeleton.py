@@ -40,6 +40,7 @@ LIMBS = {
 }
 LIMBS |= {
     "feet": tuple(sorted(LIMBS["left_foot"] + LIMBS["right_foot"])),
+    "knees": tuple(sorted(LIMBS["left_knee"] + LIMBS["right_knee"])),
     "hands": tuple(sorted(LIMBS["left_hand"] + LIMBS["right_hand"])),
     "head": CHAINS["head"],
 }

@@ -70,15 +70,16 @@ class SceneConf:
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is, by a time warp around t* [-]."""
     striking_limb: str | None = None
-    """The limb that j* is chosen from; null takes all joints, as the paper does."""
+    """The limb that j* is chosen from; auto: the one that the sentence names, or that strikes in a motion file; null
+    takes all joints, as the paper does."""
     striking_joints: list[str] | None = None
     """Joints that push together, such as [left_hand, right_hand]: each has a place of its own on the face that the push
     goes through, and the person stands square to it; null: j* strikes alone, as in the paper."""
     hold: float = 0.0
     """How long after t* these stay on the object [s]."""
     expected_limb: str = MISSING
-    """What a person should see strike; reported against what did."""
+    """What a person should see strike; reported against what did. auto: what the sentence names; any: none named."""
     contact_joint: str = MISSING
-    """j* where no motion shows it (w/o MDM)."""
+    """j* where no motion shows it (w/o MDM); auto: of the limb that the sentence names."""
     contact_frame: int = MISSING
     """t* where no motion shows it (w/o MDM)."""

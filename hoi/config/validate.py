@@ -12,8 +12,13 @@ from omegaconf.errors import OmegaConfBaseException
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.config import CONF, Config, HumanKind, MaterialConf, ObjectKind, PlaneContact
 from hoi.errors import InputError
+from hoi.motion.sentence import limbs_in
 from hoi.stages.contract import Requirements
 
+AUTO, ANY = "auto", "any"
+"""A limb that the sentence or the motion names; no limb in particular."""
+LIMB_KEYS = ("striking_limb", "expected_limb", "contact_joint")
+SAYS = "scene.motion_prompt names"
 LARGEST = 2**63 - 1
 """What a record's and a generator's numbers can hold."""
 MOST_SEEDS = 4096
@@ -27,7 +32,7 @@ def to_config(composed: DictConfig) -> Config:
     """
     if deleted := sorted({field.name for field in fields(Config)} - set(composed.keys())):
         raise InputError(f"{', '.join(deleted)}: no value given; ~{deleted[0]} takes it away")
-    composed = with_materials(composed)
+    composed = completed(composed)
     missing = sorted(OmegaConf.missing_keys(composed))
     if missing:
         raise InputError(f"{', '.join(missing)}: no value given")
@@ -56,6 +61,56 @@ def _strange(node: DictConfig, prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{key}: no value given; ~{prefix}{key} takes it away"
         elif isinstance(inner, DictConfig) and not inner._is_none():
             yield from _strange(inner, f"{prefix}{key}.")
+
+
+def completed(composed: DictConfig) -> DictConfig:
+    """What is recorded: with the materials of regions, and with the limbs that the sentence names for each `auto`.
+
+    Raises:
+        InputError: as `with_materials`, or the sentence names another limb than the one that was asked for.
+    """
+    return with_limbs(with_materials(composed))
+
+
+def with_limbs(composed: DictConfig) -> DictConfig:
+    """The same with a limb for each `auto` of the scene: the sentence's, where a file moves the person its motion's.
+
+    Raises:
+        InputError: the sentence names another limb than the scene, or two of which none is the scene's.
+    """
+    scene = composed.scene
+    given = {key: None if OmegaConf.is_missing(scene, key) else scene[key] for key in LIMB_KEYS}
+    if OmegaConf.is_missing(scene, "motion_prompt"):
+        return composed
+    named, asked = limbs_in(scene.motion_prompt), given["striking_limb"]
+    from_file = OmegaConf.select(composed, "stage.motion.path") is not None
+    asked_joints = set(LIMBS.get(asked, ())) if asked else set()
+    if scene.striking_joints:
+        asked = list(scene.striking_joints)
+        asked_joints = {JOINT_NAMES.index(joint) for joint in asked if joint in JOINT_NAMES}
+    key = "striking_joints" if scene.striking_joints else "striking_limb"
+    fits = [limb for limb in named if asked_joints & set(LIMBS[limb])]
+    if named and asked_joints and not fits and not from_file:
+        remedy = "change one of them" + ("" if scene.striking_joints else ", or say scene.striking_limb=auto")
+        raise InputError(f"scene.{key} is {asked}, but {SAYS} {' and '.join(named)}: {scene.motion_prompt!r}; {remedy}")
+    if AUTO not in given.values():
+        return composed
+    if len(named) > 1 and not fits and not from_file and asked == AUTO:
+        raise InputError(f"{SAYS} {' and '.join(named)}: say which strikes the object, scene.striking_limb={named[0]}")
+    limb = (fits or named or [None])[0]
+    side, _, part = (limb or "").partition("_")
+    either = {"feet": "right_foot", "hands": "right_hand", "knees": "right_knee", "head": "head"}
+    joint = {"arm": f"{side}_elbow"}.get(part, limb) if part else either.get(limb or "", "right_foot")
+    found = {
+        "striking_limb": AUTO if from_file else limb,
+        "expected_limb": ANY if from_file or limb is None else limb,
+        "contact_joint": joint,
+    }
+    composed = composed.copy()
+    for key, value in found.items():
+        if given[key] == AUTO:
+            composed.scene[key] = value
+    return composed
 
 
 def with_materials(composed: DictConfig) -> DictConfig:
@@ -180,9 +235,11 @@ def validate(config: Config) -> list[str]:
         require(friction is None or friction >= 0, f"{name}.friction", friction, "0 or more, or null")
     xy = placement.position[:2]
     require(None not in xy, "scene.placement.position", placement.position, "numbers in x and y")
-    require(scene.expected_limb in LIMBS, "scene.expected_limb", scene.expected_limb, f"one of {', '.join(LIMBS)}")
+    expected = scene.expected_limb
+    require(expected in (*LIMBS, ANY), "scene.expected_limb", expected, f"one of {', '.join(LIMBS)}, any or auto")
     limb = scene.striking_limb
-    require(limb is None or limb in LIMBS, "scene.striking_limb", limb, f"null or one of {', '.join(LIMBS)}")
+    rule = f"null or one of {', '.join(LIMBS)} or auto"
+    require(limb is None or limb in (*LIMBS, AUTO), "scene.striking_limb", limb, rule)
     joints = ", ".join(JOINT_NAMES)
     require(scene.contact_joint in JOINT_NAMES, "scene.contact_joint", scene.contact_joint, f"one of {joints}")
     together = scene.striking_joints

@@ -16,6 +16,7 @@ from hoi.data import Body
 from hoi.errors import InputError
 from hoi.importers.unpickle import read_arrays
 from hoi.terminal.arguments import refusing
+from hoi.terminal.overrides import as_override
 from hoi.terminal.program import program
 
 
@@ -102,7 +103,7 @@ def run(options: argparse.Namespace) -> None:
     correctives = "without" if body.pose_directions is None else "with"
     print(f"{len(body.cloud)} Gaussians, {height:.2f} m tall, {correctives} pose blend shapes")
     print(body.source.replace(LICENCE_MARK, "\nlicence: "))
-    print(f"python -m hoi.run human=avatar human.path={shlex.quote(str(options.out))}")
+    print(f"python -m hoi.run human=avatar {shlex.quote(as_override('human.path', options.out))}")
 
 
 def main() -> int:

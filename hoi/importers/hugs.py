@@ -27,6 +27,7 @@ from hoi.body.kinematics import forward_kinematics, rotation_from_6d
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, POSE_FEATURES
 from hoi.data import Body, GaussianCloud
 from hoi.errors import InputError, about
+from hoi.files import check_downloaded
 from hoi.importers.smpl import LICENCE as SMPL_LICENCE
 from hoi.importers.smpl import read_smpl
 
@@ -242,6 +243,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
     scalar: Any = np.float64(0).__reduce__()[0]
     numbers: list[Any] = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
     numbers += [np.dtype, np.dtypes.Float32DType, np.dtypes.Float64DType]
+    check_downloaded(path)
     try:
         with torch.serialization.safe_globals(numbers):
             values = torch.load(path, map_location="cpu", weights_only=True)

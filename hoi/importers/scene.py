@@ -10,6 +10,7 @@ import argparse
 import math
 import re
 import shlex
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -129,9 +130,9 @@ def convert(file: SceneFile, name: str, model: Path | None = None, size: float |
             "orientation": orientation,
             "velocity": velocity(file, frame, remarks),
         },
-        "striking_limb": "right_foot",
-        "expected_limb": "right_foot",
-        "contact_joint": "right_foot",
+        "striking_limb": "auto",
+        "expected_limb": "auto",
+        "contact_joint": "auto",
         "contact_frame": frames // 2,
     }
     regions = zip(boxes(file, frame, remarks), parts, strict=False)  # no boxes of an object that is askew
@@ -282,6 +283,13 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _plain(stem: str) -> str:
+    """A file's name as that of a config: "Bälle (1)" -> "Balle_1"."""
+    ascii_ = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", ascii_).strip("_-")
+    return name if name[:1].isalpha() else f"scene_{name}".rstrip("_")
+
+
 def run(options: argparse.Namespace) -> None:
     """Read, convert, write, report.
 
@@ -290,8 +298,8 @@ def run(options: argparse.Namespace) -> None:
     """
     if options.size is not None and not (math.isfinite(options.size) and options.size > 0):
         raise InputError(f"--size must be greater than 0 [m], got {options.size:g}")
-    file, name = read_scene_file(options.file, options.dialect), options.name or options.file.stem
-    if not re.fullmatch(r"[A-Za-z][\w-]*", name):
+    file, name = read_scene_file(options.file, options.dialect), options.name or _plain(options.file.stem)
+    if not re.fullmatch(r"[A-Za-z][\w-]*", name, re.ASCII):
         raise InputError(f"--name must start with a letter and have letters, digits, _ and - alone, got {name!r}")
     imported = convert(file, name, options.object, options.size)
     files = write_configs(imported, name, options.out, options.file)

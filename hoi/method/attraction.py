@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from hoi.body.footing import Footing, slide, stances, sunk
-from hoi.body.skeleton import JOINT_COUNT
+from hoi.body.skeleton import JOINT_COUNT, LIMBS
 from hoi.body.skinning import joint_paths, posed_means, stand_motion
 from hoi.data import Array, Body, Motion, ObjectTrajectory, Scene, State, Target
 from hoi.frames import at_frame
@@ -20,6 +20,9 @@ from hoi.method.pose import PoseParameters
 from hoi.method.push import HANDS, Face, depth_along, face_of, held, palms, places, wrists
 from hoi.reports import Stage
 
+STRIKING = ("left_foot", "right_foot", "left_hand", "right_hand")
+FASTER = 2.0
+"""What strikes is so many times as fast as what swings with it."""
 FPS = 20.0
 """Of the paper [1/s]."""
 ENDS = 0.2
@@ -56,6 +59,23 @@ def choose_target(joints: Array, candidates: Sequence[int] = range(JOINT_COUNT))
     velocity = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     joint = max(candidates, key=lambda j: velocity[:, j].sum())
     return Target(joint, int(velocity[:, joint].argmax()), "velocity profile")
+
+
+def striking_limb(joints: Array, named: Sequence[str] = ()) -> str:
+    """The hand or foot of a motion that strikes: the fastest at its peak.
+
+    Args:
+        joints: world joint positions p_j(t) [m], (T, 24, 3).
+        named: limbs that a sentence names; theirs is the part, of either side, unless another is `FASTER` than both.
+    """
+    speed = np.linalg.norm(np.diff(joints, axis=0), axis=-1).max(axis=0, initial=0.0)
+    peak = {limb: float(speed[list(LIMBS[limb])].max()) for limb in STRIKING}
+    parts = {"foot" if set(LIMBS[limb]) & set(LIMBS["feet"]) else "hand" for limb in named}
+    told = [limb for limb in STRIKING if limb.partition("_")[2] in parts]
+    best = max(peak, key=lambda limb: peak[limb])
+    if told and peak[best] < FASTER * max(peak[limb] for limb in told):
+        best = max(told, key=lambda limb: peak[limb])
+    return best
 
 
 def window(frames: int, target: Target, sigma: float, half_width: float) -> Array:

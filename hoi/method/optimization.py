@@ -58,6 +58,8 @@ class Walk:
         """
         plan, scenes, options = self.plan, self.batch.scenes, self.config.stage
         motions = [stand_motion(scene.body, scene.frames, scene.fps) for scene in scenes]
+        if plan.keeps("motion"):
+            options.motion.read(scenes[0])
 
         def moved() -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
             with shared_stage(self.stages, "free motion", scenes[0].frames - 1) as (stage, *others):

@@ -18,7 +18,7 @@ from hoi.body.skeleton import JOINT_COUNT
 from hoi.body.skinning import sole_height
 from hoi.data import Body, Motion
 from hoi.errors import InputError
-from hoi.files import whole_file
+from hoi.files import check_downloaded, whole_file
 from hoi.motion.diffusion import ancestral_sample, cosine_alphas_cumprod, guide
 from hoi.motion.features import FEATURE_COUNT
 from hoi.motion.files import CHECKPOINT, DESCRIPTION_NAME, REST_JOINTS_NAME, WEIGHTS_NAME, run_folder
@@ -284,6 +284,7 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 def _read_checkpoint(path: Path) -> dict[str, Tensor]:
     """The state dict of a Lightning checkpoint. Nothing but tensors and plain values is unpickled."""
+    check_downloaded(path, "prior: ")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a file that is damaged or holds other objects

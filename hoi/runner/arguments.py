@@ -10,12 +10,11 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 from hydra._internal.utils import get_args_parser
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, Quote, QuotedString, Sweep
-from hydra.errors import HydraException
+from hydra.core.override_parser.types import Sweep
 
 from hoi.errors import InputError
 from hoi.files import CONF
+from hoi.terminal.overrides import as_override, quoted, read_override
 
 SENTENCE = "scene.motion_prompt"
 PROMPTS = (SENTENCE, "scene.scene_prompt", "scene.negative_prompt")
@@ -23,8 +22,6 @@ TEXTS = re.compile(r"out|(.*\.)?(path|skinning|checkpoint|names|name)")
 """Keys of paths and names."""
 OVERRIDE = re.compile(r"(?s)(?P<key>(\+\+|\+|~)?[\w./@:$-]+)=(?P<value>.*)")
 DELETION = re.compile(r"~[\w./@:$-]+")
-OURS = re.compile(r"\$\{(?!(seed|scene|object|human|material|experiment|ablation|now|hydra|oc)\b[\w.:%-]*\})")
-"""The start of an interpolation of nothing that a config has."""
 ALONE = ("--run", "--multirun", "--cfg", "--info", "--shell-completion")
 """Flags of which there can be one."""
 
@@ -52,20 +49,6 @@ def arguments(typed: Iterable[str]) -> list[str]:
         else:
             made.append(_override(word, many))
     return [part for _, parts in flags for part in parts] + made
-
-
-def quoted(text: str) -> str:
-    """The text as a value of Hydra's that means itself."""
-    text = " ".join(text.splitlines())
-    return QuotedString(OURS.sub(lambda found: "\\" + found[0], text), Quote.single).with_quotes()
-
-
-def as_override(key: str, value: object) -> str:
-    """KEY=VALUE with a text that means itself, in Hydra's grammar; quoted for it only where need be."""
-    plain = f"{key}={value}"
-    read = _read(plain)
-    same = read is not None and not read.is_sweep_override() and read.value() == str(value)
-    return plain if same and "${" not in plain else f"{key}={quoted(str(value))}"
 
 
 def _sentence(word: str) -> str:
@@ -97,7 +80,7 @@ def _override(word: str, many: bool) -> str:
     name = key.lstrip("+~")
     if name == SENTENCE and not key.startswith("~"):
         _sentence(value)
-    read = _read(word)
+    read = read_override(word)
     if read is not None and (CONF / name).is_dir() and not isinstance(read.value(), str | list | Sweep):
         raise InputError(name, value, f"one of {', '.join(sorted(file.stem for file in (CONF / name).glob('*.yaml')))}")
     if name in PROMPTS or (TEXTS.fullmatch(name) and value not in ("", "null")):
@@ -109,14 +92,6 @@ def _override(word: str, many: bool) -> str:
 
 def _is_quoted(value: str) -> bool:
     return re.fullmatch(r"'(\\'|[^'])*'|\"(\\\"|[^\"])*\"", value) is not None
-
-
-def _read(word: str) -> Override | None:
-    """What Hydra's grammar makes of it; None where it is no sentence of that."""
-    try:
-        return OverridesParser.create().parse_override(word)
-    except HydraException:
-        return None
 
 
 def _apart(words: list[str]) -> tuple[list[tuple[str, list[str]]], list[str]]:

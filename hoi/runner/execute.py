@@ -14,7 +14,7 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from hoi.config import Config
-from hoi.config.validate import to_config, with_materials
+from hoi.config.validate import completed, to_config
 from hoi.data import GaussianCloud, Plan, Run, State
 from hoi.errors import InputError
 from hoi.plan import check_complete, format_plan, make_plan
@@ -134,7 +134,7 @@ def is_finished(composed: DictConfig) -> bool:
 
 def seeds(composed: DictConfig, config: Config) -> Iterator[tuple[Config, DictConfig]]:
     """The config of each seed: that of a run of this seed alone, in a folder of its own; as it is recorded."""
-    composed = with_materials(composed)
+    composed = completed(composed)
     if config.seeds == 1:
         yield config, composed
         return

@@ -244,8 +244,11 @@ def struck(config: Config, plan: Plan, state: State) -> str:
         joint = search.smallest_gap_part or JOINT_NAMES[search.smallest_gap_joint]
         where = f"{search.smallest_gap:.3f} m at frame {search.smallest_gap_frame:.2f} ({joint})"
         return f"no contact{separating}: smallest gap {where}"
-    expected = is_with(config.scene.expected_limb, push.joint, push.part)
-    limb = "as expected" if expected else f"{config.scene.expected_limb} was expected"
+    wanted = config.scene.expected_limb
+    if wanted not in LIMBS:
+        limb = "no limb was named"
+    else:
+        limb = "as expected" if is_with(wanted, push.joint, push.part) else f"{wanted} was expected"
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
     if plan.implementation("contact") != "collider" or state.trajectory is None:

@@ -9,7 +9,7 @@ The .npz holds, as AMASS does, `poses` (T, 72) axis-angle of the 24 SMPL joints 
 pelvis rests at J0 wants trans - J0.
 
 The .mcap is a record with a person and no object, which `analysis.strip`, `hoi.render.video` and `hoi.record.read`
-take. Exit codes: 0 done; 2 bad input.
+take. Exit codes: 0 done; 2 bad input; 3 the disk is full; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import numpy as np
 
 from hoi.data import Body, Motion, Plan, Plane, Run, Scene, State, Step
 from hoi.errors import InputError, RunError
+from hoi.files import whole_file
 from hoi.terminal.program import program
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ def sample(options: argparse.Namespace) -> None:
     import torch
 
     from hoi import record
+    from hoi.config.validate import LARGEST
     from hoi.runner.jobs import viewing_points
 
     started = time.perf_counter()
@@ -118,6 +120,12 @@ def sample(options: argparse.Namespace) -> None:
         raise InputError(f"--out {options.out}: must end in {' or '.join(SUFFIXES)}")
     if not 3 <= options.frames <= MOST_FRAMES:
         raise InputError(f"--frames {options.frames}: must be at least 3, and at most {MOST_FRAMES}")
+    if not 0 <= options.seed <= LARGEST:
+        raise InputError(f"--seed must be in [0, {LARGEST}], got {options.seed}")
+    try:
+        options.prompt.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"prompt: {options.prompt!r} holds bytes that are no text in UTF-8") from None
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found")
     given = (options.prompt, options.person, options.seed, options.frames, options.prior, options.guidance)
@@ -166,20 +174,17 @@ def _write_npz(options: argparse.Namespace, drawing: Drawing) -> None:
     translation, *turns = decode(features)
     local, rest_joints = local_rotations(*turns), prior.rest_joints.cpu()
     _, joints = forward_kinematics(local, translation, rest_joints)
-    try:
-        with options.out.open("wb") as file:
-            np.savez(
-                file,
-                poses=roma.rotmat_to_rotvec(local).flatten(1).numpy(),
-                trans=translation.numpy(),
-                mocap_framerate=np.array(prior.fps),
-                joints=joints.numpy(),
-                rest_joints=rest_joints.numpy(),
-                prompt=np.array(options.prompt),
-                seed=np.array(options.seed),
-            )
-    except OSError as error:
-        raise InputError(f"--out {options.out}: {error}") from error
+    with whole_file(options.out) as part, part.open("wb") as file:
+        np.savez(
+            file,
+            poses=roma.rotmat_to_rotvec(local).flatten(1).numpy(),
+            trans=translation.numpy(),
+            mocap_framerate=np.array(prior.fps),
+            joints=joints.numpy(),
+            rest_joints=rest_joints.numpy(),
+            prompt=np.array(options.prompt),
+            seed=np.array(options.seed),
+        )
 
 
 def main() -> int:
@@ -187,7 +192,7 @@ def main() -> int:
         sample(parser().parse_args())
     except (InputError, RunError) as error:
         print(f"sample: {error}", file=sys.stderr)
-        return 2
+        return 2 if isinstance(error, InputError) else 3
     return 0
 
 

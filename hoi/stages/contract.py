@@ -144,6 +144,13 @@ class MotionSource(Option):
         """
         raise NotImplementedError
 
+    def read(self, scene: Scene) -> None:
+        """Look at its files, before anything is computed.
+
+        Raises:
+            InputError: one cannot be used.
+        """
+
     def motions(
         self, scene: Scene, distillation: ScoreDistillation | None, seeds: Sequence[int], stages: Sequence[Stage]
     ) -> list[Motion]:

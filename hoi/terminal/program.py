@@ -45,7 +45,7 @@ def lasting_console() -> None:
         stream: Any = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w"))
-        elif isinstance(stream, io.TextIOWrapper) and not isinstance(stream, Console):
+        elif isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
             stream.flush()
             encoding, lines = stream.encoding, stream.line_buffering
             console = Console(

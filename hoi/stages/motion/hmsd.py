@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, ClassVar
 from omegaconf import MISSING
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
-from hoi.errors import under
+from hoi.errors import InputError, under
 from hoi.motion.files import missing_prior
+from hoi.motion.sentence import limbs_in
 from hoi.stages.contract import Draft, MotionSource, Requirements, option
 
 if TYPE_CHECKING:
@@ -174,6 +175,9 @@ class HMSD(MotionSource):
         budget = {"iterations": self.iterations, "learning_rate": self.learning_rate}
         return synthesise(distillation, starts, seeds, stages, **budget)
 
+    def read(self, scene: Scene) -> None:
+        self._start(scene, ())
+
     def _start(self, scene: Scene, stages: Sequence[Stage]) -> Motion:
         """The standing pose, or the file's motion."""
         from hoi.body.skinning import stand_motion
@@ -191,12 +195,15 @@ class HMSD(MotionSource):
 
     def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
         from hoi.body.skinning import joint_paths
-        from hoi.method.attraction import choose_target
+        from hoi.method.attraction import choose_target, striking_limb
         from hoi.method.push import choose_push
 
         joints = joint_paths(scene.body, motion)
         if conf.striking_joints:
             together = [JOINT_NAMES.index(name) for name in conf.striking_joints]
             return choose_push(joints, together, round(conf.hold * scene.fps))
-        candidates = LIMBS[conf.striking_limb] if conf.striking_limb else range(JOINT_COUNT)
+        limb = conf.striking_limb
+        if limb == "auto":  # a file's motion
+            limb = striking_limb(joints, limbs_in(conf.motion_prompt))
+        candidates = LIMBS[limb] if limb else range(JOINT_COUNT)
         return choose_target(joints, candidates)
