@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from hoi.adam import Adam
-from hoi.data import Motion, ObjectTrajectory, Scene, State
+from hoi.data import Camera, Motion, ObjectTrajectory, Scene, State
 from hoi.errors import RefineStopped
-from hoi.refine.clip import Clip, across, contact_framing, viewpoints
+from hoi.refine.clip import Clip, contact_framing, viewpoints
+from hoi.refine.contact_clip import ContactClip
 from hoi.refine.geometric import Geometry, Weights
 from hoi.refine.meeting import meet
+from hoi.refine.steps import LimbSteps
 from hoi.refine.window import Window, WindowedPose
 from hoi.reports import Stage
 from hoi.streams import stream_seed
@@ -61,13 +63,17 @@ class Timesteps:
 
 @dataclass(frozen=True)
 class Viewpoints:
-    """The ring of cameras, one of which an iteration looks from."""
+    """The ring of cameras, some of which an iteration looks from."""
 
     count: int
+    at_once: int
+    """From so many an iteration looks; the paper: 1."""
     elevation: float
     """Above the horizon [rad]."""
     distance: float | None
     """Radius of the ring [m]; None frames what the prior wants to see."""
+    crop: float | None = None
+    """Half of what a picture of the contact shows [m]; None: what the prior wants to see."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +141,7 @@ def video_sds(
     rescale: float,
     iterations: int,
     learning_rate: float,
+    step: float | None,
     seed: int,
     device: torch.device | str,
     stage: Stage,
@@ -143,11 +150,14 @@ def video_sds(
 ) -> Motion:
     """The motion with theta in the window refined by a prior.
 
-    Each iteration looks from one viewpoint, at one noise level.
+    Each iteration looks from some viewpoints, from each at one noise level.
 
     Args:
         prior: prepared for the scene's prompt.
         guidance, rescale: see `hoi.motion.diffusion.guide`.
+        learning_rate: of Adam [-].
+        step: instead of it, how far the striking limb moves in the first iteration [m], falling linearly to 0
+            (`hoi.refine.steps`); None: by Adam.
         others: makes the losses that are added to Video-SDS, already weighted; nothing for the paper.
         enough: whether a motion needs no more of it; None: all iterations are done.
 
@@ -159,28 +169,43 @@ def video_sds(
     stage.notes.append(f"video prior: {prior.name}")
     pose = WindowedPose(motion, window, device)
     frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
-    clip = Clip(scene, motion, trajectory, window, frames, device, as_silhouettes=prior.sees_silhouettes)
-    contact = None if prior.crop is None else contact_framing(scene, motion, trajectory, window, prior.crop)
-    views = viewpoints(clip, contact, looks.count, looks.elevation, looks.distance, prior.size)
-    if prior.sees_silhouettes and window.push is not None:
-        views = across(views, window.push.normal) or views
+    contact = normal = action = None
+    if prior.crop is not None:
+        contact = contact_framing(scene, motion, trajectory, window, looks.crop or prior.crop)
+    if prior.sees_silhouettes:
+        assert contact is not None
+        normal = window.push.normal if window.push is not None else None
+        clip = ContactClip(scene, motion, trajectory, window, len(frames), contact, device)
+    else:
+        clip = action = Clip(scene, motion, trajectory, window, frames, device)
+    views = viewpoints(action, contact, normal, looks.count, looks.elevation, looks.distance, prior.size)
     draws = Draws(seed)
     rows = torch.tensor(window.frames, device=device)
     other_losses = others(pose) if others is not None else dict
 
-    adam = Adam([pose.offset], learning_rate)
-    for iteration in range(iterations):
-        camera = views[draws.viewpoint(len(views))]
+    def estimate(iteration: int, camera: Camera) -> tuple[Residual, int]:
         t = draws.timestep(timesteps.t_min, timesteps.latest(iteration))
         z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
-        residual = distil(z, draws.noise(z), t, prior, guidance, rescale)
-        terms = {"sds": residual.loss.to(pose.offset), **other_losses()}
+        return distil(z, draws.noise(z), t, prior, guidance, rescale), t
+
+    adam = Adam([pose.offset], learning_rate)
+    limb = LimbSteps(pose, scene.body)
+    for iteration in range(iterations):
+        first = draws.viewpoint(len(views))  # and others evenly from there
+        seen_from = [views[(first + k * len(views) // looks.at_once) % len(views)] for k in range(looks.at_once)]
+        found = [estimate(iteration, camera) for camera in seen_from]
+        sds = torch.stack([residual.loss for residual, _ in found]).mean()
+        terms = {"sds": sds.to(pose.offset), **other_losses()}
         adam.gradients_of(torch.stack(list(terms.values())).sum())
         if pose.offset.grad is None or not bool(pose.offset.grad.isfinite().all()):
             raise RefineStopped(f"the gradient of Video-SDS is not finite at iteration {iteration}; {REMEDY}")
-        adam.step()
+        if step is None:
+            adam.step()
+        else:
+            limb.follow(step * (1 - iteration / iterations))
+        size, t = (sum(values) / len(found) for values in ([r.size for r, _ in found], [t for _, t in found]))
         losses = {name: float(term.detach()) for name, term in terms.items()}
-        stage.iteration(iteration, losses | {"residual": residual.size, "timestep": float(t)})
+        stage.iteration(iteration, losses | {"residual": size, "timestep": t})
         if enough is not None and enough(pose.motion()):
             stage.notes.append(f"enough after {iteration + 1} of {iterations} iterations")
             break

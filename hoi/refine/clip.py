@@ -1,10 +1,9 @@
 """The clip that the video prior sees of a scene: rendered frames, those of the window differentiable in theta.
 
 What does not change is drawn once a viewpoint. No depth, and no gradient to what is not theta: colours, opacities and
-the object are constants. A clip is of pictures, or of silhouettes for a prior that has learned those.
+the object are constants. A prior of silhouettes sees another, `hoi.refine.contact_clip`.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,8 +15,7 @@ from hoi.body.skeleton import JOINT_COUNT, PARENTS
 from hoi.body.skinning import joint_paths
 from hoi.data import Body, Motion, ObjectTrajectory, Scene, State, fields_of
 from hoi.gaussians import select
-from hoi.refine.silhouettes import coverage, silhouettes
-from hoi.refine.views import Framing, background, ring
+from hoi.refine.views import Framing, background, edge_on, ring
 from hoi.refine.window import Window
 from hoi.render import cameras
 from hoi.render.cameras import Camera
@@ -27,8 +25,6 @@ from hoi.render.rasterise import rasterise, render_frames
 from hoi.render.replay import Replay, person_tensors, posed
 from hoi.render.splats import Splats, join
 
-SIDEWAYS = math.radians(50)
-"""How far a view may be from looking across the strike, for a prior that is shown the contact alone."""
 CACHE = 2**29
 """Bytes of pictures that are kept; those of further viewpoints are drawn whenever they are wanted."""
 
@@ -44,15 +40,12 @@ class Clip:
         window: Window,
         frames: Sequence[int],
         device: torch.device | str = "cpu",
-        *,
-        as_silhouettes: bool = False,
     ) -> None:
         """
         Args:
             frames: scene frames of the clip, in order; those of the window stand side by side.
-            as_silhouettes: of limb, rest of the person and object (`hoi.refine.silhouettes`), not pictures.
         """
-        self.window, self.as_silhouettes = window, as_silhouettes
+        self.window = window
         self.frames = tuple(frames)
         places = [place for place, frame in enumerate(frames) if frame in window.frames]
         self.changing = slice(places[0], places[-1] + 1)
@@ -65,14 +58,13 @@ class Clip:
             for array in (motion.translation, motion.orientation, motion.body_pose)
         )
         moved = moved_by(scene.body, window.moving)
-        self._moved = torch.from_numpy(moved).to(device)
         self._limb = person_tensors(subset(scene.body, np.flatnonzero(moved)), device=device)
         rest = person_tensors(subset(scene.body, np.flatnonzero(~moved)), device=device)
         with torch.no_grad():
             things = [self._shown.parts(frame)[1] for frame in window.frames]
             others = posed(rest, self._translation, self._orientation, before)
         self._still = [lit_parts(pair) for pair in zip(others, things, strict=True)]
-        self._kept: dict[Camera, tuple[Tensor | None, dict[int, Tensor]]] = {}
+        self._kept: dict[Camera, tuple[Tensor, dict[int, Tensor]]] = {}
         self._room = CACHE
 
     def action(self) -> np.ndarray:
@@ -80,7 +72,7 @@ class Clip:
         return self._shown.action().points(sorted(set(self.frames)))
 
     def render(self, camera: Camera, body_pose: Tensor) -> Tensor:
-        """RGB, or the three silhouettes, in [0, 1], (F, 3, height, width), differentiable in theta.
+        """RGB in [0, 1], (F, 3, height, width), differentiable in theta.
 
         Args:
             body_pose: theta of the window's frames, (W, 23, 3) [rad].
@@ -92,19 +84,16 @@ class Clip:
         limbs = posed(self._limb, self._translation, self._orientation, body_pose)
         changed = {}
         for frame, limb, still in zip(self.window.frames, limbs, self._still, strict=True):
-            if behind is None:
-                changed[frame] = torch.stack([coverage(limb, camera), *pictures[frame]])
-            else:
-                changed[frame] = rasterise(join([lit(limb), *still]), camera, behind).colour.movedim(-1, 0)
+            changed[frame] = rasterise(join([lit(limb), *still]), camera, behind).colour.movedim(-1, 0)
         clip = torch.stack([changed[frame] if frame in changed else pictures[frame] for frame in self.frames])
         return clip.clamp(0, 1)
 
-    def _constant(self, camera: Camera) -> tuple[Tensor | None, dict[int, Tensor]]:
-        """What theta does not change, drawn once: the background of pictures, and what is known of each frame."""
+    def _constant(self, camera: Camera) -> tuple[Tensor, dict[int, Tensor]]:
+        """What theta does not change, drawn once: the background, and the pictures of the other frames."""
         if camera in self._kept:
             return self._kept[camera]
-        found = self._still_silhouettes(camera) if self.as_silhouettes else self._still_pictures(camera)
-        size = sum(each.element_size() * each.numel() for each in (found[0], *found[1].values()) if each is not None)
+        found = self._still_pictures(camera)
+        size = sum(each.element_size() * each.numel() for each in (found[0], *found[1].values()))
         if size <= self._room:
             self._room -= size
             self._kept[camera] = found
@@ -117,21 +106,11 @@ class Clip:
         drawn = render_frames((lit_parts(self._shown.parts(frame)) for frame in outside), camera, behind)
         return behind, {frame: picture.colour.movedim(-1, 0) for frame, picture in zip(outside, drawn, strict=True)}
 
-    @torch.no_grad()
-    def _still_silhouettes(self, camera: Camera) -> tuple[None, dict[int, Tensor]]:
-        """(3, height, width) of the frames outside the window; in it of all but the limb, (2, height, width)."""
-        found = {}
-        for frame in sorted(set(self.frames) - set(self.window.frames)):
-            person, thing = self._shown.parts(frame)
-            found[frame] = silhouettes(chosen(person, self._moved), chosen(person, ~self._moved), thing, camera)
-        for frame, still in zip(self.window.frames, self._still, strict=True):
-            found[frame] = torch.stack([coverage(part, camera) for part in still])
-        return None, found
-
 
 def viewpoints(
-    clip: Clip,
+    clip: Clip | None,
     contact: Framing | None,
+    normal: np.ndarray | None,
     count: int,
     elevation: float,
     distance: float | None,
@@ -140,29 +119,25 @@ def viewpoints(
     """The ring of cameras (paper, Rendering and Sampling): around a contact, or where None around the whole action.
 
     Args:
+        clip: of whose action; None where there is a contact.
+        normal: of the surface that is touched, (3,); where there is one, the cameras look along that surface.
         size: (height, width) of the pictures [pixel].
 
     Raises:
-        InputError: as `hoi.refine.views.ring` and `hoi.render.cameras.circle`.
+        InputError: as `hoi.refine.views.ring`, `edge_on` there and `hoi.render.cameras.circle`.
     """
     height, width = size
+    if contact is not None and normal is not None:
+        return edge_on(contact, normal, count, elevation, width=width, height=height, distance=distance)
     if contact is not None:
         return ring(contact, count, elevation, width=width, height=height, distance=distance)
+    assert clip is not None
     points = clip.action()
     if distance is None:
         return cameras.circle(points, count, elevation, width=width, height=height)
     centre = (points.min(0) + points.max(0)) / 2
     around = Framing(centre, float(np.linalg.norm(points - centre, axis=1).max()))
     return ring(around, count, elevation, width=width, height=height, distance=distance)
-
-
-def across(views: Sequence[Camera], direction: np.ndarray) -> list[Camera]:
-    """Those of the views that look across a direction (3,), seen from above: no farther than `SIDEWAYS` from at right
-    angles. From before and behind, a limb that touches and one that has entered look alike."""
-    along = direction[:2] / max(float(np.linalg.norm(direction[:2])), 1e-9)
-    looks = [camera.world_to_camera[2, :2] for camera in views]
-    slants = [abs(float(look @ along)) / max(float(np.linalg.norm(look)), 1e-9) for look in looks]
-    return [camera for camera, slant in zip(views, slants, strict=True) if slant <= math.sin(SIDEWAYS)]
 
 
 def contact_framing(

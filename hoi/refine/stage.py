@@ -30,7 +30,8 @@ def refined(
         window: around the contact, see `contact_window`; None where there is nothing to refine.
         distance: d_contact [m].
         improve: makes a better motion of what meets in the window; may raise RefineStopped.
-        needed_above: penetration up to which nothing is done [m]; None: whatever it is, something is.
+        needed_above: penetration up to which nothing is done, if the gap is no wider than d_contact [m]; None: whatever
+            they are, something is.
     """
     motion, trajectory = state.motion, state.trajectory
     assert motion is not None and trajectory is not None
@@ -43,9 +44,9 @@ def refined(
         return motion
     before = meeting.fidelity(motion, distance)
     tell(stage, before, "before")
-    if needed_above is not None and before.penetration <= needed_above:
+    if needed_above is not None and good(before, distance, needed_above):
         deep = f"{before.penetration:.4f} m deep in the object, no more than {needed_above:g} m"
-        stage.notes.append(f"not needed: the limb is {deep}")
+        stage.notes.append(f"not needed: the limb is {deep}, and {before.gap:.4f} m apart at t_c")
         return motion
     try:
         improved = improve(meeting)
@@ -58,8 +59,13 @@ def refined(
     return improved
 
 
+def good(found: Fidelity, distance: float, tolerance: float) -> bool:
+    """Whether a limb is neither deeper in the object than `tolerance` nor farther off than d_contact = `distance` [m]."""
+    return found.penetration <= tolerance and found.gap <= distance
+
+
 class Nearest:
-    """Of the motions that it is shown, keeps the one that is nearest to touch; says when one is out of the object."""
+    """Of the motions that it is shown, keeps the one that is nearest to touch; says when one is good."""
 
     def __init__(self, meeting: Meeting, distance: float, tolerance: float) -> None:
         self._meeting, self._distance, self._tolerance = meeting, distance, tolerance
@@ -68,11 +74,11 @@ class Nearest:
     def __call__(self, tried: Motion) -> bool:
         found = self._meeting.fidelity(tried, self._distance)
         self._best = min(self._best, (found, tried), key=lambda each: each[0].miss)
-        return found.penetration <= self._tolerance
+        return good(found, self._distance, self._tolerance)
 
     def kept(self, stage: Stage) -> Motion:
         found, motion = self._best
-        if found.penetration > self._tolerance:
+        if not good(found, self._distance, self._tolerance):
             how = f"{found.penetration:.4f} m deep, {found.gap:.4f} m apart at t_c"
             stage.notes.append(f"not out and touching: the nearest to it is kept, {how}")
         return motion

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from omegaconf import MISSING
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
-from hoi.errors import InputError, under
+from hoi.errors import under
 from hoi.motion.files import missing_prior
 from hoi.motion.sentence import limbs_in
 from hoi.stages.contract import Draft, MotionSource, Requirements, option

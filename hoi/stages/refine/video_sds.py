@@ -41,6 +41,8 @@ class VideoSDS(WindowedRefinement):
     """Of CogVideoX a folder or hub name; of an embedded prior a file or folder, null for the one in the package."""
     learning_rate: float = MISSING
     """Of Adam on theta [-]."""
+    step: float | None = MISSING
+    """Instead of Adam: how far the limb moves in the first iteration [m], falling linearly to 0; null: Adam."""
     guidance: float = MISSING
     """Classifier-free guidance scale [-]."""
     guidance_rescale: float = MISSING
@@ -54,9 +56,13 @@ class VideoSDS(WindowedRefinement):
     t_max_iterations: int = MISSING
     """... in so many iterations and stays there."""
     viewpoints: int = MISSING
-    """Cameras, evenly spaced on a circle around the action; an iteration looks from one."""
+    """Cameras, evenly spaced on a circle around the action; for the embedded prior, along the surface at the contact."""
+    views_at_once: int = MISSING
+    """From so many of them an iteration looks."""
     elevation: float = MISSING
-    """Of the cameras above the horizon [rad]."""
+    """Of the cameras above the horizon; along a surface, on average [rad]."""
+    crop: float | None = MISSING
+    """Half of what a picture of the contact shows [m]; null: as the embedded prior was trained; CogVideoX sees all."""
     distance: float | None = MISSING
     """Radius of that circle [m]; null frames what the prior wants to see."""
     width: int = MISSING
@@ -80,9 +86,13 @@ class VideoSDS(WindowedRefinement):
         for name, highest in (("t_max", 999), ("t_max_end", self.t_max), ("t_min", self.t_max_end)):
             own(0 <= getattr(self, name) <= highest, name, getattr(self, name), f"in [0, {highest}]")
         own(self.t_max_iterations >= 1, "t_max_iterations", self.t_max_iterations, "1 or more")
+        own(self.step is None or self.step > 0, "step", self.step, "greater than 0 [m], or null")
         own(self.viewpoints >= 1, "viewpoints", self.viewpoints, "1 or more")
+        own(self.views_at_once >= 1, "views_at_once", self.views_at_once, "1 or more")
         own(abs(self.elevation) < math.pi / 2, "elevation", self.elevation, "in (-pi/2, pi/2)")
         distance, clip = self.distance, self.clip_frames
+        rule = "greater than 0 [m], or null" if embedded else f"null with {self.key}.prior=cogvideox"
+        own(self.crop is None or (embedded and self.crop > 0), "crop", self.crop, rule)
         own(distance is None or distance > 0, "distance", distance, "greater than 0 [m], or null")
         for name in ("width", "height"):
             value = getattr(self, name)
@@ -157,11 +167,12 @@ class VideoSDS(WindowedRefinement):
             state,
             window,
             timesteps=Timesteps(self.t_min, self.t_max, self.t_max_end, self.t_max_iterations),
-            looks=Viewpoints(self.viewpoints, self.elevation, self.distance),
+            looks=Viewpoints(self.viewpoints, self.views_at_once, self.elevation, self.distance, self.crop),
             guidance=self.guidance,
             rescale=self.guidance_rescale,
             iterations=self.iterations,
             learning_rate=self.learning_rate,
+            step=self.step,
             seed=seed,
             device=device,
             stage=stage,

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from hoi.errors import InputError
 from hoi.files import whole_file
 from hoi.motion.prior import MotionPrior, load_prior
-from hoi.refine.clip import SIDEWAYS, chosen
+from hoi.refine.clip import chosen
 from hoi.refine.silhouettes import silhouettes
 from hoi.refine.views import Framing, viewpoint
 from hoi.render.cameras import CIRCLE_ELEVATION, Camera
@@ -29,6 +29,8 @@ from hoi.video_prior.embedded import CLIP_FRAMES, CROP, SIZE
 
 VIEWS = 2
 """Directions from which each contact is seen."""
+SIDEWAYS = math.radians(50)
+"""How far from that a view may be."""
 FROM_THE_SIDE = 0.8
 """Share of the views that look across the strike, where a contact is best seen, as in stage 3."""
 ELEVATION_SPREAD = math.radians(12)
