@@ -10,7 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hoi.config import Config
 from hoi.config.compose import composed, config_of, one_line
-from hoi.config.validate import to_config
+from hoi.config.validate import AUTO, LIMB_KEYS, to_config
 from hoi.data import Run
 from hoi.errors import InputError, RunError
 from hoi.plan import make_plan
@@ -53,7 +53,10 @@ class Wish:
         """
         try:
             values = composed(*base, *self.choices())
-            values.scene.motion_prompt = self.sentence.replace("${", "\\${")  # no interpolation
+            if self.sentence != values.scene.motion_prompt:  # who knows which limb that is about
+                values.scene.motion_prompt = self.sentence.replace("${", "\\${")  # no interpolation
+                if not values.scene.striking_joints:
+                    values.scene.update(dict.fromkeys(LIMB_KEYS, AUTO))
             position = values.scene.placement.position
             values.scene.placement.position = [round(self.place[0], 3), round(self.place[1], 3), position[2]]
         except (HydraException, OmegaConfBaseException) as error:
