@@ -33,6 +33,8 @@ FPS, GRAVITY, SIZE, ACROSS = 20.0, 9.81, 0.2, 4
 """Of the motion at the least [1/s]; of the person [m/s^2], the block floats; its edge [m], and particles along it."""
 DX = SIZE / ACROSS
 HIP, ANKLE, FOOT = (JOINT_NAMES.index(f"right_{name}") for name in ("hip", "ankle", "foot"))
+CLEAR = 1e-4
+"""From the foot to the block at first [m]."""
 WIDEST = 1.0
 """The leg swings by no more than this from one frame to the next [rad]."""
 MOST_STEPS, MOST_SECONDS = 3000, 20.0
@@ -160,11 +162,15 @@ class _Counted(Pushing):
 
 def _pushed(blow: Blow) -> Verdict:
     """The push, over the swing."""
-    motion, time_c, foot = _swing(blow)
+    motion, time_c, _ = _swing(blow)
     person = _person_at(blow, motion, time_c - 0.5 / motion.fps)
     partner = _Counted(person, _person()[1])
-    toe = (partner.ends[:, :, 1].max(axis=1) + partner.radii)[np.isin(_person()[1].joints, [ANKLE, FOOT])].max()
-    thing = _block(blow, np.array([foot[0], toe + 0.25 * DX, foot[2]]))
+    ends = partner.ends[np.isin(_person()[1].joints, [ANKLE, FOOT])].reshape(-1, 3)
+    radii = np.repeat(partner.radii[np.isin(_person()[1].joints, [ANKLE, FOOT])], 2)
+    tip = (ends[:, 1] + radii).argmax()
+    # One particle of the block's face lies just before the foremost point of the foot.
+    half = 0.5 * SIZE / ACROSS
+    thing = _block(blow, ends[tip] + [half, radii[tip] - half + CLEAR, half])
     state = initial_state(thing.particles, thing.masses, thing.velocity)
     run, stake = _simulation(thing, state, partner), person.kinetic_energy()
     until, by = 1.5 / motion.fps, time.perf_counter() + MOST_SECONDS

@@ -106,7 +106,7 @@ def _tile(axes: Axes, x: int, y: int, case: Case | Blow, verdict: Verdict) -> No
 
 def _legend(figure: Figure, results: Mapping[str, tuple[Case | Blow, Verdict]], height: float) -> None:
     counts = Counter(verdict.verdict for _, verdict in results.values())
-    title = "Extreme cases of the object's MPM, and of the person who strikes it"
+    title = "Extreme cases of object and person"
     figure.text(0.01, 1 - 0.22 / height, title, fontsize=15, fontweight="bold", color=INK, va="center")
     text = ", ".join(
         f"{counts[name]} {name}" for name in ("held", "refused", "stopped", "failed", "not run") if name in counts

@@ -20,6 +20,7 @@ from hoi.body.kinematics import local_rotations, rotation_to_6d
 from hoi.body.mass import masses_of
 from hoi.body.skeleton import CHAINS, JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array, Body, Motion
+from hoi.errors import RunError
 
 ROOT = 6
 """Rates of the pelvis."""
@@ -31,11 +32,16 @@ class Articulated:
     """The model of one person, without its weight, and MuJoCo's workspace for it.
 
     Raises:
-        RunError: the person has no volume, see `hoi.body.mass.masses_of`.
+        RunError: the person, or its pelvis, has no volume, see `hoi.body.mass.masses_of`.
     """
 
     def __init__(self, body: Body) -> None:
         masses, rest = masses_of(body), np.asarray(body.rest_joints, dtype=np.float64)
+        if masses.mass[0] <= 0:
+            raise RunError(
+                f"the person {body.name!r} has no volume at the pelvis, which all else hangs on; "
+                "use stage.contact.limb=infinite, which needs none"
+            )
         self.masses = masses.mass
         self.links = [joint for joint in range(JOINT_COUNT) if joint == 0 or masses.mass[joint] > 0]
         """The joints with a part of their own; the others go with their parents."""

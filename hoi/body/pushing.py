@@ -41,7 +41,7 @@ class Pushing:
         origin = np.zeros(3)
         self._jacobian = np.concatenate([person.parts.jacobian(joint, origin) for joint in self._joints])
         self.rates = person.rates
-        self.twists = (self._jacobian @ self.rates).reshape(-1, 6)
+        self.twists: Array = (self._jacobian @ self.rates).reshape(-1, 6)
 
     def ease(self, parts: NDArray[np.intp]) -> Array:
         """W = J B J^T."""

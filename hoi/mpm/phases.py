@@ -84,7 +84,8 @@ class Tally:
     energy: float = 0.0
     """Kinetic energy left out [J]."""
     drag_left_out: float = 0.0
-    """Bound of the way that the air would have moved it in the flights without drag [m]."""
+    """Bound of the way that the air would have moved it by the end where it did not act: in the MPM, and in flights
+    that it would have moved too little [m]."""
     steps: int = 0
     first_step: float = math.inf
     """The time step with which the walk begins, taken or not [s]."""
@@ -204,6 +205,8 @@ class Walk:
         # No step is cut short for a look at the body: what it does depends on the length of the steps.
         self.simulation.step_towards(until - self._began, self._between_looks)
         now = self._began + self.simulation.time
+        _, fastest = self.simulation.bounds()
+        self.tally.drag_left_out += self._drag * fastest**2 * (now - self.time) * (self._end - self.time)
         self._pass(until if until - now < ROUND_OFF else now)
         looks = self.time - self._last_look > 0.99 * self._between_looks
         if looks:
@@ -286,7 +289,7 @@ class Walk:
             return False
         self._flight, self._departed, self._departure, self._landing = flight, self._state, self.time, landing
         if not drag:
-            self.tally.drag_left_out = max(self.tally.drag_left_out, moved)
+            self.tally.drag_left_out += moved
         self._leave_mpm("flight", energy)
         return True
 

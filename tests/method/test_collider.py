@@ -12,7 +12,7 @@ from hoi.body.people import load_person
 from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_frames, posed_means, stand_motion
 from hoi.config.validate import to_config
-from hoi.data import Material, Motion, Plane, Scene, SceneObject
+from hoi.data import ContactSearch, Material, Motion, Plane, Scene, SceneObject, State
 from hoi.errors import RunError
 from hoi.gaussians import fibonacci_sphere
 from hoi.method.contact import find_contact
@@ -378,3 +378,17 @@ def test_a_limb_of_few_gaussians_is_one_capsule():
     points = np.random.default_rng(0).normal(0, 1, (14, 3)) * [0.2, 0.2, 0.2]
     starts, ends, radii = fit_union(points)
     assert len(radii) == 1 and np.isfinite([*starts[0], *ends[0], radii[0]]).all()
+
+
+def test_a_person_without_volume_is_told_as_such_and_not_as_one_in_the_object(conf):
+    """A fist has skin and no trunk; only a limb that starts in the object is told to stay away from it."""
+    with Stages().stage("push", 1) as stage:
+        for start, said in (
+            (-0.6, r"^the person .* has no volume"),
+            (-0.12, r"in the object .*; move scene.placement"),
+        ):
+            scene, motion = punch([0, start, 1], [0, 3, 0])
+            free, states, contact = search(scene, motion)
+            state = State(motion, free, None, ContactSearch((contact,), 0.0, contact.frame, contact.joint))
+            with pytest.raises(RunError, match=said):
+                conf.stage.contact.answer(scene, state, states, mover_of(conf), stage)
