@@ -37,6 +37,7 @@ bench: $(READY)  ## seconds by stage of the default scene, of the person's answe
 	$(BIN)/python -m analysis.answer_bench
 	$(BIN)/python -m analysis.mpm_bench
 	$(BIN)/python -m analysis.render_bench
+	$(BIN)/python -m analysis.film_bench
 
 precision: $(READY)  ## error against run time of physics, renderer and stage 3: tables, reports, pictures in runs/precision
 	$(BIN)/python -m analysis.precision $(ARGS)

@@ -255,9 +255,7 @@ def _jelly(points: Array, normals: Array) -> Array:
     rgb = np.array([0.62, 0.04, 0.08]) + height[:, None] * np.array([0.26, 0.10, 0.10])
     inward = np.array(JELLY_BLOCK_EXTENT) / 2 - np.abs(points)
     inward[:, 2] = half - points[:, 2]
-    through = (
-        0.75 * np.exp(-np.sort(inward, 1)[:, 1] / JELLY_DEPTH)[:, None]
-    )  # the face itself is nearest, then an edge
+    through = 0.75 * np.exp(-np.sort(inward, 1)[:, 1] / JELLY_DEPTH)[:, None]  # past the face itself, an edge
     rgb += through * (np.array([1.0, 0.52, 0.46]) - rgb)
     planks = np.abs(points[:, 2] / 0.12 - np.rint(points[:, 2] / 0.12)) > 0.46
     rgb[height < 0] = [0.60, 0.44, 0.28]

@@ -33,9 +33,9 @@ OUTFITS = {
     ),
     "child": Outfit(
         "young_caucasian_male/textures/young_lightskinned_male_diffuse.png", ("male_casualsuit04", "shoes06"),
-        "short01", "eyebrow009", eyes="blue",
+        "short03", "eyebrow009", eyes="blue",
         retouched={"male_casualsuit04": SHIRT_LOGO | {"blues": (-0.47, 1.0, 1.5)},
-                   "short01": {"all_over": (0.0, 1.0, 1.5)}},
+                   "short03": {"all_over": (0.03, 0.9, 1.6)}},
     ),
     "athlete": Outfit(
         "young_african_male/textures/young_darkskinned_male_diffuse.png", ("male_casualsuit04", "shoes06"),
@@ -51,9 +51,9 @@ OUTFITS = {
     ),
     "senior": Outfit(
         "old_caucasian_female/textures/old_lightskinned_female_diffuse.png", ("female_casualsuit01", "shoes01"),
-        "short04", "eyebrow011", "eyelashes03", "lightblue",
+        "bob02", "eyebrow011", "eyelashes03", "lightblue",
         {"female_casualsuit01": WOMANS_LOGO | {"blues": (0.17, 0.45, 1.1), "legs": (0.0, 0.25, 0.8)},
-         "short04": {"all_over": (0.0, 0.15, 3.0)}},
+         "bob02": {"all_over": (0.0, 0.35, 1.1)}},
     ),
     "runner": Outfit(
         "young_asian_female/textures/young_lightskinned_female_diffuse3.png", ("female_sportsuit01", "shoes06"),
