@@ -99,12 +99,11 @@ def met(walk: Walk) -> Iterator[dict[str, float]]:
 
 def summary(runs: pd.DataFrame) -> pd.DataFrame:
     """A row a way: shares of runs, spread of the shares over seeds, means of what is defined."""
-    by_seed = (
-        runs.groupby(["way", "seed"], sort=False)[["any", "expected"]].mean().groupby("way", sort=False).std(ddof=1)
-    )
+    shares = runs.groupby(["way", "seed"], sort=False, as_index=False).agg(expected=("expected", "mean"))
+    by_seed = shares.groupby("way", sort=False).agg(expected=("expected", "std"))
     table = runs.groupby("way", sort=False).agg(n=("any", "size"), any=("any", "mean"), expected=("expected", "mean"),
                                                 v_in=("v_in", "mean"), gap=("gap", "mean"))  # fmt: skip
-    return table.assign(expected_sd=by_seed)
+    return table.assign(expected_sd=by_seed["expected"])
 
 
 @command.exit_code("analysis.placement")

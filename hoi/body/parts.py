@@ -4,7 +4,7 @@ The skin goes with the joint that turns it: what is above the kneecap with the h
 knee.
 """
 
-from hoi.body.skeleton import JOINT_NAMES, LIMBS
+from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
 from hoi.data import Array, Contact, ContactSearch
 
 NEAR, FAR = 0.2, 0.7
@@ -54,12 +54,17 @@ _OWN = {"knee": ("knee",)}
 def is_with(limb: str, joint: int, part: str) -> bool:
     """Whether what touched is of that limb (`hoi.body.skeleton.LIMBS`): a hip or a shin is no knee.
 
+    Whatever touches is of a limb that is none of them ("any").
+
     Args:
         joint: whose skin it is. part: as people call it; empty where only the joint is known, which then has to do.
     """
+    if joint not in LIMBS.get(limb, range(JOINT_COUNT)):
+        return False
     side, _, name = limb.rpartition("_")
-    own = _OWN.get(name)
-    return joint in LIMBS[limb] and (own is None or not part or part in {f"{side}_{each}" for each in own})
+    own = _OWN.get(name.removesuffix("s"))
+    sides = (side,) if side else ("left", "right")
+    return own is None or not part or part in {f"{each}_{skin}" for each in sides for skin in own}
 
 
 def struck_with(contact: Contact) -> str:

@@ -67,6 +67,9 @@ def test_old_records_fall_back_on_the_joint():
         ("hands", "left_wrist", "left_hand", True),
         ("right_arm", "right_elbow", "right_forearm", True),
         ("head", "neck", "neck", True),
+        ("any", "spine3", "chest", True),
+        ("knees", "left_hip", "left_knee", True),
+        ("knees", "left_hip", "left_thigh", False),
     ],
 )
 def test_a_hip_is_no_knee(limb, joint, part, counts):

@@ -121,5 +121,5 @@ def test_an_object_is_met_at_the_height_that_is_asked_for():
     """A ball that is lobbed passes 0.5 m; left to itself the strike waits until it is low."""
     time = np.arange(40) / 20.0
     heights = np.maximum(0.5 + 4.9 * time - 0.5 * 9.81 * time**2, 0.11)
-    assert abs(heights[19 + delay(0.5, heights, meeting=19)] - 0.5) < 0.13
-    assert heights[19 + delay(0.15, heights, meeting=19)] < 0.3
+    assert abs(heights[19 + delay(0.5, heights, meeting=19, fps=20.0)] - 0.5) < 0.13
+    assert heights[19 + delay(0.15, heights, meeting=19, fps=20.0)] < 0.3

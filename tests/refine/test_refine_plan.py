@@ -144,8 +144,8 @@ def test_the_plan_guesses_the_memory_that_the_loader_estimates(plan, monkeypatch
     ("overrides", "message"),
     [
         (["stage.refine.t_max=1000"], "stage.refine.t_max must be in [0, 999], got 1000"),
-        (["stage.refine.t_max_end=990"], "stage.refine.t_max_end must be in [0, 400], got 990"),
-        (["stage.refine.t_min=400"], "stage.refine.t_min must be in [0, 300], got 400"),
+        (["stage.refine.t_max_end=990"], "stage.refine.t_max_end must be in [0, 200], got 990"),
+        (["stage.refine.t_min=400"], "stage.refine.t_min must be in [0, 200], got 400"),
         (["stage.refine.iterations=0"], "stage.refine.iterations must be 1 or more, got 0"),
         (["stage.refine.tolerance=-1"], "stage.refine.tolerance must be 0 or more [m], got -1"),
         (["stage.refine.half_width=-1"], "stage.refine.half_width must be 0 or more [frames], got -1"),
