@@ -61,7 +61,7 @@ def refined(
 
 
 def good(found: Fidelity, distance: float, tolerance: float) -> bool:
-    """Whether a limb is neither deeper in the object than `tolerance` nor farther off than d_contact = `distance` [m]."""
+    """Whether a limb is no deeper in the object than `tolerance` and no farther off than d_contact = `distance` [m]."""
     return found.penetration <= tolerance and found.gap <= distance
 
 

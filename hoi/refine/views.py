@@ -15,7 +15,6 @@ from hoi.errors import InputError
 from hoi.render.cameras import CIRCLE_ELEVATION, FOV_Y, Camera, look_at
 from hoi.render.ground import Backdrop
 
-
 STEEP = 0.1
 """Sine of the angle from the vertical below which a normal has no sides of its own."""
 
