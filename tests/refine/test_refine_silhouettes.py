@@ -99,8 +99,8 @@ def test_a_clip_shows_the_contact_between_frames_and_follows_theta() -> None:
     for place, person in enumerate(posed(person_tensors(scene.body), *parts)):
         expected = torch.stack([coverage(chosen(person, rows), camera) for rows in (limb, ~limb)])
         torch.testing.assert_close(video[place, :2].detach(), expected.clamp(0, 1), rtol=0, atol=2e-3)
-    video[:, 1:].sum().backward(retain_graph=True) if video[:, 1:].requires_grad else None
-    assert theta.grad is None or float(theta.grad.abs().max()) == 0
+    (others,) = torch.autograd.grad(video[:, 1:].sum(), theta, retain_graph=True)
+    assert float(others.abs().max()) == 0
     (video[:, 0] * torch.rand(5, 32, 32)).sum().backward()
     assert theta.grad is not None
     followed = [float(frame.abs().max()) > 0 for frame in theta.grad]
@@ -147,13 +147,27 @@ def test_the_motion_nearest_to_touch_is_kept(composed, monkeypatch: pytest.Monke
         assert refine(scene, state, config, "cpu", stage) is state.motion
 
         def leaving(*_, enough, **__) -> Motion:
-            assert not enough(near) and enough(far)
+            assert not enough(near) and not enough(far)
             return far
 
         monkeypatch.setattr("hoi.method.video_sds.video_sds", leaving)
         near, far = shifted(-0.012), shifted(-0.1)
         assert refine(scene, state, config, "cpu", stage) is near
         near = shifted(0.01)
+        assert refine(scene, state, config, "cpu", stage) is state.motion
+
+        def touching(*_, enough, **__) -> Motion:
+            assert not enough(near) and enough(far)
+            return far
+
+        monkeypatch.setattr("hoi.method.video_sds.video_sds", touching)
+        near, far = (
+            shifted(-0.026),
+            shifted(-0.038),
+        )  # a few mm deep; out, and farther off than that but within d_contact
+        assert refine(scene, state, config, "cpu", stage) is far
+        near = far = state.motion
+        monkeypatch.setattr("hoi.method.video_sds.video_sds", lambda *_, **__: far)
         assert refine(scene, state, config, "cpu", stage) is state.motion
     numbers = stages.reports[0].numbers
     assert numbers["penetration_after"] == numbers["penetration_before"] > 0.02
