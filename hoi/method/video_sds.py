@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from hoi.adam import Adam
-from hoi.data import Camera, Motion, ObjectTrajectory, Scene, State
+from hoi.data import Motion, ObjectTrajectory, Scene, State
 from hoi.errors import RefineStopped
 from hoi.refine.clip import Clip, contact_framing, viewpoints
-from hoi.refine.contact_clip import ContactClip
+from hoi.refine.contact_clip import TEMPOS, ContactClip
 from hoi.refine.geometric import Geometry, Weights
 from hoi.refine.meeting import meet
 from hoi.refine.steps import LimbSteps
@@ -170,20 +170,24 @@ def video_sds(
     pose = WindowedPose(motion, window, device)
     frames = prior.clip_frames(window.frames[0], window.frames[-1], len(motion))
     contact = normal = action = None
+    clips: list[Clip] | list[ContactClip]
     if prior.crop is not None:
         contact = contact_framing(scene, motion, trajectory, window, looks.crop or prior.crop)
     if prior.sees_silhouettes:
         assert contact is not None
         normal = window.push.normal if window.push is not None else None
-        clip = ContactClip(scene, motion, trajectory, window, len(frames), contact, device)
+        count = len(frames)
+        clips = [ContactClip(scene, motion, trajectory, window, count, contact, device, tempo) for tempo in TEMPOS]
     else:
-        clip = action = Clip(scene, motion, trajectory, window, frames, device)
+        action = Clip(scene, motion, trajectory, window, frames, device)
+        clips = [action]
     views = viewpoints(action, contact, normal, looks.count, looks.elevation, looks.distance, prior.size)
     draws = Draws(seed)
     rows = torch.tensor(window.frames, device=device)
     other_losses = others(pose) if others is not None else dict
 
-    def estimate(iteration: int, camera: Camera) -> tuple[Residual, int]:
+    def estimate(iteration: int, view: int) -> tuple[Residual, int]:
+        clip, camera = clips[view % len(clips)], views[view]
         t = draws.timestep(timesteps.t_min, timesteps.latest(iteration))
         z = prior.encode(clip.render(camera, pose.body_pose[rows]), clip.changing)
         return distil(z, draws.noise(z), t, prior, guidance, rescale), t
@@ -192,8 +196,8 @@ def video_sds(
     limb = LimbSteps(pose, scene.body)
     for iteration in range(iterations):
         first = draws.viewpoint(len(views))  # and others evenly from there
-        seen_from = [views[(first + k * len(views) // looks.at_once) % len(views)] for k in range(looks.at_once)]
-        found = [estimate(iteration, camera) for camera in seen_from]
+        seen_from = [(first + k * len(views) // looks.at_once) % len(views) for k in range(looks.at_once)]
+        found = [estimate(iteration, view) for view in seen_from]
         sds = torch.stack([residual.loss for residual, _ in found]).mean()
         terms = {"sds": sds.to(pose.offset), **other_losses()}
         adam.gradients_of(torch.stack(list(terms.values())).sum())

@@ -1,8 +1,8 @@
 """The clip that a prior of silhouettes sees: the contact itself, at instants around t_c, edge on.
 
 A contact lies between frames, and a limb is deepest between others: frames alone show neither. So the instants are
-evenly spread over the window with t_c in the middle, theta as it goes between frames. The object is its section
-through the contact (`hoi.refine.silhouettes.section`).
+evenly spread over the window, or over less of it, with t_c in the middle, theta as it goes between frames. The object
+is its section through the contact (`hoi.refine.silhouettes.section`).
 """
 
 from functools import cached_property
@@ -24,8 +24,10 @@ from hoi.render.replay import Replay, person_tensors, posed
 
 FLAT = 0.5
 """An object of which more than this share is too thin to have an inside has no section: it is shown as a whole."""
+TEMPOS = (1.0, 0.5)
+"""Shares of the window that clips show: a fast limb is in and out again within a tenth of it."""
 SHORTEST = 0.5
-"""Half of what a clip shows at least [frames]."""
+"""Half of a window as it is shown at least [frames]."""
 
 
 class ContactClip:
@@ -43,14 +45,16 @@ class ContactClip:
         count: int,
         contact: Framing,
         device: torch.device | str = "cpu",
+        tempo: float = 1.0,
     ) -> None:
         """
         Args:
             count: instants in the clip.
             contact: what a picture shows.
+            tempo: share of the window that it shows.
         """
         self._scene, self._state, self._window, self._contact = scene, State(motion, trajectory), window, contact
-        half = max(window.half_width, SHORTEST)
+        half = tempo * max(window.half_width, SHORTEST)
         self.instants = (window.t_c + np.linspace(-half, half, count)).clip(0, len(motion) - 1)
         """[frame], (F,)."""
         self._first = max(int(self.instants[0]) - 1, 0)  # how a motion goes between frames depends on their neighbours

@@ -38,7 +38,7 @@ def silhouettes(limb: Splats, rest: Splats, thing: Splats, camera: Camera) -> Te
 
 
 def section(surface: Surface, through: Array, camera: Camera) -> Tensor:
-    """How much of each pixel is object, in the plane that faces the camera through a point (3,) [m]; (height, width)."""
+    """How much of each pixel is object in the plane that faces the camera through a point (3,) [m], (height, width)."""
     to_world = camera.world_to_camera[:3, :3].T
     depth = float((through - camera.position) @ camera.forward)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx

@@ -60,12 +60,12 @@ def refined(
 
 
 def good(found: Fidelity, distance: float, tolerance: float) -> bool:
-    """Whether a limb is neither deeper in the object than `tolerance` nor farther off than d_contact = `distance` [m]."""
+    """Whether a limb is no deeper in the object than `tolerance` and no farther off than d_contact = `distance` [m]."""
     return found.penetration <= tolerance and found.gap <= distance
 
 
 class Nearest:
-    """Of the motions that it is shown, keeps the one that is nearest to touch; says when one is good."""
+    """Of the motions that it is shown, keeps one that is good, else the nearest to touch; says when one is good."""
 
     def __init__(self, meeting: Meeting, distance: float, tolerance: float) -> None:
         self._meeting, self._distance, self._tolerance = meeting, distance, tolerance
@@ -73,12 +73,18 @@ class Nearest:
 
     def __call__(self, tried: Motion) -> bool:
         found = self._meeting.fidelity(tried, self._distance)
-        self._best = min(self._best, (found, tried), key=lambda each: each[0].miss)
+        self._best = min(self._best, (found, tried), key=self._rank)
+        return self._is_good(found)
+
+    def _is_good(self, found: Fidelity) -> bool:
         return good(found, self._distance, self._tolerance)
+
+    def _rank(self, each: tuple[Fidelity, Motion]) -> tuple[bool, float]:
+        return not self._is_good(each[0]), each[0].miss
 
     def kept(self, stage: Stage) -> Motion:
         found, motion = self._best
-        if not good(found, self._distance, self._tolerance):
+        if not self._is_good(found):
             how = f"{found.penetration:.4f} m deep, {found.gap:.4f} m apart at t_c"
             stage.notes.append(f"not out and touching: the nearest to it is kept, {how}")
         return motion

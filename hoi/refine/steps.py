@@ -33,8 +33,9 @@ class LimbSteps:
 
     def __init__(self, pose: WindowedPose, body: Body) -> None:
         self._pose, push = pose, pose.window.push
-        rows = _striking(body, pose)
-        self._body = body_tensors(body, rows, dtype=pose.offset.dtype, device=pose.offset.device)
+        self.skin = _striking(body, pose)
+        """Gaussians that say how far the limb goes, (M,)."""
+        self._body = body_tensors(body, self.skin, dtype=pose.offset.dtype, device=pose.offset.device)
         axes = np.eye(3) if push is None else np.asarray(push.normal)[None]
         self._axes = torch.from_numpy(axes / np.linalg.norm(axes, axis=1, keepdims=True)).to(pose.offset)
         frames = torch.tensor(pose.window.frames).to(pose.offset)

@@ -12,11 +12,11 @@ from torch import Tensor
 from hoi.body.skinning import pose_means, posed_means
 from hoi.data import Motion, Run
 from hoi.errors import InputError, RefineStopped
-from hoi.method import video_sds as sds
 from hoi.method.video_sds import Draws, Timesteps, distil, memory_may_run_out, predict_z, weight
 from hoi.motion.diffusion import guide
-from hoi.refine.clip import Clip, across, contact_framing, moved_by, subset, viewpoints
-from hoi.refine.views import Framing, ring, viewpoint
+from hoi.refine.clip import Clip, contact_framing, moved_by, subset, viewpoints
+from hoi.refine.steps import LimbSteps
+from hoi.refine.views import Framing, edge_on, ring, viewpoint
 from hoi.refine.window import Window, WindowedPose, window_around
 from hoi.render.cameras import project
 from hoi.render.rasterise import render_frames
@@ -81,7 +81,7 @@ def conf(**changes: object) -> VideoSDS:
         iterations=6, learning_rate=0.02, guidance=1.0, guidance_rescale=0.0, t_min=100, t_max=980, t_max_end=300,
         t_max_iterations=4, viewpoints=3, elevation=0.3, distance=None, width=SIZE, height=SIZE, clip_frames=None,
         offload=False, lambda_geometry=0.0, lambda_penetration=1.0, lambda_touch=1.0, lambda_pose=0.0,
-        lambda_smooth=0.0,
+        lambda_smooth=0.0, step=None, views_at_once=1, crop=None,
     )  # fmt: skip
     return VideoSDS(**{**values, **changes})
 
@@ -236,7 +236,7 @@ def test_a_clip_shows_the_scene_and_only_the_window_has_gradients(run: Run, wind
     shown = replay(run)
     for size, crop in (((SIZE, SIZE), 0.7), ((32, 48), None)):
         framing = crop and contact_framing(run.scene, run.state.motion, run.state.trajectory, window, crop)
-        camera = viewpoints(clip, framing, 4, 0.3, None, size)[1]
+        camera = viewpoints(clip, framing, None, 4, 0.3, None, size)[1]
         pose = WindowedPose(run.state.motion, window)
         body_pose = pose.body_pose[list(window.frames)]
         video = clip.render(camera, body_pose)
@@ -260,7 +260,7 @@ def test_a_clip_shows_the_scene_and_only_the_window_has_gradients(run: Run, wind
 def test_the_ring_around_the_action_holds_it(run: Run, window: Window) -> None:
     clip = clip_of(run, window, [2, 3, 4])
     for distance in (None, 6.0):
-        for camera in viewpoints(clip, None, 5, 0.3, distance, (48, 72)):
+        for camera in viewpoints(clip, None, None, 5, 0.3, distance, (48, 72)):
             pixels, depth = project(camera, clip.action())
             assert (depth > 0).all() and (pixels >= -0.5).all() and (pixels <= (72.5, 48.5)).all()
 
@@ -272,7 +272,7 @@ def target_of(run: Run, window: Window, turn: float) -> tuple[GaussianPrior, Mot
     with torch.no_grad():
         pose.offset[:, 0, 0] = turn
     framing = contact_framing(run.scene, run.state.motion, run.state.trajectory, window, GaussianPrior.crop)
-    camera = viewpoints(clip, framing, 1, 0.3, None, (SIZE, SIZE))[0]
+    camera = viewpoints(clip, framing, None, 1, 0.3, None, (SIZE, SIZE))[0]
     return GaussianPrior(clip.render(camera, pose.body_pose[list(window.frames)]).detach()), pose.motion()
 
 
@@ -326,22 +326,53 @@ def test_it_ends_when_it_is_enough(run: Run, window: Window) -> None:
     assert motion.body_pose.tobytes() == whole.body_pose.tobytes() == seen[-1].body_pose.tobytes()
 
 
-def test_a_prior_of_silhouettes_looks_across_the_strike(run: Run, window: Window, monkeypatch) -> None:
-    cameras = ring(Framing(np.zeros(3), 0.3), 36, width=8, height=8)
-    strike = np.array([1.0, 1.0, 0.4])
-    kept = across(cameras, strike)
-    for camera in cameras:
-        look = camera.world_to_camera[2, :2]
-        along = abs(look @ strike[:2]) / np.linalg.norm(look) / np.linalg.norm(strike[:2])
-        assert (camera in kept) == (along <= math.sin(math.radians(50)))
-    assert 18 < len(kept) < 24
+@pytest.mark.parametrize("normal", [(1.0, 1.0, 0.4), (0.0, -1.0, 0.0), (0.1, 0.0, -0.9), (0.0, 0.0, 1.0)])
+def test_edge_on_the_cameras_look_along_the_surface_from_both_sides(normal: tuple[float, float, float]) -> None:
+    framing, normal = Framing(np.array([1.0, 2.0, 0.5]), 0.2), np.array(normal) / np.linalg.norm(normal)
+    cameras = edge_on(framing, normal, 6, 0.3, width=32, height=32)
+    looks = np.array([camera.forward for camera in cameras])
+    assert np.allclose(looks @ normal, 0, atol=1e-9)
+    assert (looks[:3] @ looks[0] > 0).all() and (looks[3:] @ looks[0] < 0.9).all()
+    # A point of the touched plane is on one line of the picture, wherever in the plane it is.
+    along = np.cross(normal, looks[0])
+    pixels, _ = project(cameras[0], framing.centre + np.outer((-0.1, 0.1), looks[0]) + 0.05 * along)
+    off = (pixels - 16) @ (cameras[0].world_to_camera[:2, :3] @ normal)
+    assert np.allclose(off, 0, atol=1e-6)
+    for broken in ({"count": 0}, {"elevation": 2.0}):
+        with pytest.raises(InputError):
+            edge_on(framing, normal, **{"count": 2, **broken}, width=8, height=8)
+
+
+def test_an_iteration_looks_from_several_sides_and_averages(run: Run, window: Window) -> None:
     prior, _ = target_of(run, window, turn=0.1)
-    looked: list = []
-    monkeypatch.setattr(sds.Draws, "viewpoint", lambda self, count: looked.append(count) or 0)
-    refine(run, window, prior, iterations=1, viewpoints=36)
-    prior.sees_silhouettes = True
-    refine(run, window, prior, iterations=1, viewpoints=36)
-    assert looked[0] == 36 and 18 < looked[1] < 24
+    one, _ = refine(run, window, prior, iterations=1, viewpoints=4)
+    asked, prior.asked = prior.asked, []
+    _, together = refine(run, window, prior, iterations=1, viewpoints=4, views_at_once=4)
+    assert len(asked) == 1 and len(prior.asked) == 4 and prior.asked[0] == asked[0]
+    assert together.history[0]["timestep"] == np.mean(prior.asked)
+    assert one.body_pose.tobytes() != run.state.motion.body_pose.tobytes()
+
+
+def test_a_step_moves_the_skin_that_strikes_so_far_along_the_normal(run: Run, window: Window) -> None:
+    """Whatever the gradient's length, and to first order with nothing aside."""
+    body, motion, length = run.scene.body, run.state.motion, 1e-4
+    normal, frame = np.asarray(window.push.normal), round(window.t_c)
+    near = np.flatnonzero(np.isin(body.dominant_joints, window.limb))
+    for scale in (1e-6, 1e3):
+        pose = WindowedPose(motion, window, dtype=torch.float64)
+        steps = LimbSteps(pose, body)
+        arms = steps.arms()
+        assert arms.shape[:2] == (len(window.frames), 3 * len(window.moving))
+        # Down the gradient of how far the skin is along the normal: it goes against it.
+        pull = torch.from_numpy(np.tile(normal, arms.shape[2] // 3)).to(arms)
+        pose.offset.grad = scale * (pose.taper[:, None] * (arms @ pull)).view_as(pose.offset)
+        steps.follow(length)
+        rows = steps.skin
+        assert np.isin(rows, near).all()
+        moved = (posed_means(body, pose.motion(), subset=rows) - posed_means(body, motion, subset=rows))[frame].mean(0)
+        assert -1.05 * length < moved @ normal < -0.5 * length
+        outside = [f for f in range(len(motion)) if f not in window.frames]
+        assert np.array_equal(pose.motion().body_pose[outside], motion.body_pose[outside])
 
 
 def test_what_is_not_finite_stops_the_stage(run: Run, window: Window) -> None:

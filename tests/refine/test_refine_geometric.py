@@ -121,13 +121,17 @@ def test_no_pop_at_the_edges_of_the_window(config):
 
 
 def test_not_needed_leaves_the_motion_as_it_is(config):
-    scene, state = struck(depth=-0.03)
+    scene, state = struck(depth=-0.005)
     for tolerance in (0.002, 10.0):
         stage = quiet()
         assert (
             refine(scene, state, with_conf(config, tolerance=tolerance, half_width=0.0), "cpu", stage) is state.motion
         )
         assert "not needed" in stage.notes[0] and stage.iterations == 0
+    scene, state = struck(depth=-0.03)  # a gap wider than d_contact is none to leave
+    stage = quiet()
+    refine(scene, state, with_conf(config, half_width=0.0), "cpu", stage)
+    assert stage.iterations > 0 and stage.numbers["gap_after"] < stage.numbers["gap_before"]
 
 
 def test_no_contact_is_no_window(config):

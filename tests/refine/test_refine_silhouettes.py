@@ -8,14 +8,18 @@ import torch
 from bodies import splats_of
 from refine_scenes import FRAMES, HIT, refine, struck
 
+from hoi.body.interpolate import interpolate_motion
 from hoi.config.validate import to_config
 from hoi.data import Motion
-from hoi.refine.clip import Clip, chosen, moved_by
-from hoi.refine.silhouettes import coverage, silhouettes
+from hoi.refine.clip import chosen, moved_by
+from hoi.refine.contact_clip import ContactClip
+from hoi.refine.fidelity import surfaces_near
+from hoi.refine.silhouettes import coverage, section, silhouettes
 from hoi.refine.stage import contact_window
 from hoi.refine.views import Framing, viewpoint
 from hoi.refine.window import window_around
 from hoi.render.rasterise import rasterise
+from hoi.render.replay import person_tensors, posed
 from hoi.render.splats import Splats
 from hoi.reports import Stages
 
@@ -60,27 +64,47 @@ def test_gradient_agrees_with_central_differences() -> None:
     assert float((shift.grad - central).norm()) < 0.1 * float(central.norm())  # the rasteriser's cut-offs are steps
 
 
-def test_a_clip_shows_limb_rest_and_object() -> None:
+def test_a_section_is_the_ball_cut_through() -> None:
     scene, state = struck()
-    window = window_around(float(HIT), 11, 1.0, FRAMES)
-    frames = [HIT - 2, HIT - 1, HIT, HIT + 1, HIT + 2]
-    clip = Clip(scene, state.motion, state.trajectory, window, frames, as_silhouettes=True)
+    centre, radius = state.trajectory.com[HIT], scene.thing.size / 2
+    near = (centre - 0.3, centre + 0.3)
+    (surface,) = surfaces_near(scene.thing, state.trajectory, None, scene.fps, [HIT], near)
+    for aside in (0.0, 0.6):  # of the radius, towards the camera
+        camera = viewpoint(Framing(centre, 0.28), 0.0, 0.0, width=64, height=64)
+        through = centre - aside * radius * camera.forward
+        shown = section(surface, through, camera)
+        pixel = float((through - camera.position) @ camera.forward) / camera.fx
+        area = np.pi * radius**2 * (1 - aside**2)
+        assert pixel**2 * float(shown.sum()) == pytest.approx(area, rel=0.03)
+        assert 0 <= float(shown.min()) and float(shown.max()) <= 1
+
+
+def test_a_clip_shows_the_contact_between_frames_and_follows_theta() -> None:
+    scene, state = struck()
+    window = window_around(HIT + 0.3, 11, 1.0, FRAMES)
     centre = state.trajectory.com[HIT]
-    camera = viewpoint(Framing(centre, 0.28), 0.0, width=32, height=32)
+    contact = Framing(centre, 0.28)
+    clip = ContactClip(scene, state.motion, state.trajectory, window, 5, contact, tempo=0.5)
+    assert np.allclose(clip.instants, HIT + 0.3 + np.array([-0.5, -0.25, 0, 0.25, 0.5]))
+    camera = viewpoint(contact, 0.0, width=32, height=32)
     theta = torch.tensor(state.motion.body_pose[np.array(window.frames)], dtype=torch.float32, requires_grad=True)
     video = clip.render(camera, theta)
     assert video.shape == (5, 3, 32, 32)
-    # Every frame, in the window or not, is what the whole person and object give.
+    # Limb and rest are those of the whole person at that instant, the object is cut through its middle.
     limb = torch.from_numpy(moved_by(scene.body, window.moving))
-    for place, frame in enumerate(frames):
-        person, thing = clip._shown.parts(frame)
-        expected = silhouettes(chosen(person, limb), chosen(person, ~limb), thing, camera)
-        torch.testing.assert_close(video[place].detach(), expected.clamp(0, 1), rtol=0, atol=2e-3)
-    # Only the limb's silhouette in the window follows theta.
-    video[:, 1:].sum().backward(retain_graph=True)
-    assert theta.grad is not None and float(theta.grad.abs().max()) == 0
+    moved = interpolate_motion(state.motion, clip.instants)
+    parts = (
+        torch.tensor(array, dtype=torch.float32) for array in (moved.translation, moved.orientation, moved.body_pose)
+    )
+    for place, person in enumerate(posed(person_tensors(scene.body), *parts)):
+        expected = torch.stack([coverage(chosen(person, rows), camera) for rows in (limb, ~limb)])
+        torch.testing.assert_close(video[place, :2].detach(), expected.clamp(0, 1), rtol=0, atol=2e-3)
+    (others,) = torch.autograd.grad(video[:, 1:].sum(), theta, retain_graph=True)
+    assert float(others.abs().max()) == 0
     (video[:, 0] * torch.rand(5, 32, 32)).sum().backward()
-    assert theta.grad is not None and all(float(frame.abs().max()) > 0 for frame in theta.grad)
+    assert theta.grad is not None
+    followed = [float(frame.abs().max()) > 0 for frame in theta.grad]
+    assert followed[1] and followed[2] and torch.equal(clip.render(camera, theta), video)
 
 
 def test_the_prior_in_the_package_takes_a_foot_out_of_a_ball(composed) -> None:
@@ -123,13 +147,27 @@ def test_the_motion_nearest_to_touch_is_kept(composed, monkeypatch: pytest.Monke
         assert refine(scene, state, config, "cpu", stage) is state.motion
 
         def leaving(*_, enough, **__) -> Motion:
-            assert not enough(near) and enough(far)
+            assert not enough(near) and not enough(far)
             return far
 
         monkeypatch.setattr("hoi.method.video_sds.video_sds", leaving)
         near, far = shifted(-0.012), shifted(-0.1)
         assert refine(scene, state, config, "cpu", stage) is near
         near = shifted(0.01)
+        assert refine(scene, state, config, "cpu", stage) is state.motion
+
+        def touching(*_, enough, **__) -> Motion:
+            assert not enough(near) and enough(far)
+            return far
+
+        monkeypatch.setattr("hoi.method.video_sds.video_sds", touching)
+        near, far = (
+            shifted(-0.026),
+            shifted(-0.038),
+        )  # a few mm deep; out, and farther off than that but within d_contact
+        assert refine(scene, state, config, "cpu", stage) is far
+        near = far = state.motion
+        monkeypatch.setattr("hoi.method.video_sds.video_sds", lambda *_, **__: far)
         assert refine(scene, state, config, "cpu", stage) is state.motion
     numbers = stages.reports[0].numbers
     assert numbers["penetration_after"] == numbers["penetration_before"] > 0.02

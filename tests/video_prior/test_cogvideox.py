@@ -51,7 +51,7 @@ def conf(folder: Path, **changes: object) -> VideoSDS:
         prior=VideoPriorKind.cogvideox, checkpoint=str(folder), width=WIDTH, height=HEIGHT, clip_frames=9,
         offload=False, iterations=2, learning_rate=0.01, guidance=100.0, guidance_rescale=0.0, t_min=100, t_max=980,
         t_max_end=300, t_max_iterations=1000, viewpoints=2, elevation=0.3, distance=None, lambda_geometry=0.0,
-        lambda_smooth=0.0,
+        lambda_smooth=0.0, step=None, views_at_once=1, crop=None,
     )  # fmt: skip
     return VideoSDS(**{**values, **changes})
 

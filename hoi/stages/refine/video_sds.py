@@ -56,7 +56,7 @@ class VideoSDS(WindowedRefinement):
     t_max_iterations: int = MISSING
     """... in so many iterations and stays there."""
     viewpoints: int = MISSING
-    """Cameras, evenly spaced on a circle around the action; for the embedded prior, along the surface at the contact."""
+    """Cameras, evenly spaced on a circle around the action; of the embedded prior, along the surface in contact."""
     views_at_once: int = MISSING
     """From so many of them an iteration looks."""
     elevation: float = MISSING
