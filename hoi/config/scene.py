@@ -66,8 +66,8 @@ class SceneConf:
     are (stand); none: they start at the origin facing +Y, wherever the object is. It is a part of the attraction:
     without one, or without a motion prior, the person starts there too."""
     striking_limb: str | None = None
-    """The limb that j* is chosen from; auto: the one that the sentence names, or that strikes in a motion file; null takes
-    all joints, as the paper does."""
+    """The limb that j* is chosen from; auto: the one that the sentence names, or that strikes in a motion file; null:
+    all joints, as the paper has it."""
     striking_joints: list[str] | None = None
     """Joints that push together, such as [left_hand, right_hand]: each has a place of its own on the face that the push
     goes through, and the person stands square to it; null: j* strikes alone, as in the paper."""
