@@ -70,8 +70,8 @@ class SceneConf:
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is, by a time warp around t* [-]."""
     striking_limb: str | None = None
-    """The limb that j* is chosen from; auto: the one that the sentence names, or that strikes in a motion file; null
-    takes all joints, as the paper does."""
+    """The limb that j* is chosen from; auto: the one that the sentence names, or that strikes in a motion file; null:
+    all joints, as the paper has it."""
     striking_joints: list[str] | None = None
     """Joints that push together, such as [left_hand, right_hand]: each has a place of its own on the face that the push
     goes through, and the person stands square to it; null: j* strikes alone, as in the paper."""

@@ -88,11 +88,7 @@ def with_limbs(composed: DictConfig) -> DictConfig:
     if scene.striking_joints:
         asked = list(scene.striking_joints)
         asked_joints = {JOINT_NAMES.index(joint) for joint in asked if joint in JOINT_NAMES}
-    key = "striking_joints" if scene.striking_joints else "striking_limb"
     fits = [limb for limb in named if asked_joints & set(LIMBS[limb])]
-    if named and asked_joints and not fits and not from_file:
-        remedy = "change one of them" + ("" if scene.striking_joints else ", or say scene.striking_limb=auto")
-        raise InputError(f"scene.{key} is {asked}, but {SAYS} {' and '.join(named)}: {scene.motion_prompt!r}; {remedy}")
     if AUTO not in given.values():
         return composed
     if len(named) > 1 and not fits and not from_file and asked == AUTO:
@@ -258,4 +254,19 @@ def validate(config: Config) -> list[str]:
     for option in (stage.motion, stage.coordinate, stage.attraction, stage.contact, stage.object, stage.refine):
         option.check(config, require)
     config.render.check(config, require)
+    if not require.problems:
+        _check_sentence(config, require)
     return require.problems
+
+
+def _check_sentence(config: Config, require: Requirements) -> None:
+    """The limb that the sentence names is the one that was asked for, where a sentence moves the person."""
+    scene, limb = config.scene, config.scene.striking_limb
+    named = limbs_in(scene.motion_prompt)
+    striking = {JOINT_NAMES[joint] for joint in LIMBS.get(limb or "", ())}
+    key, asked = ("striking_joints", scene.striking_joints) if scene.striking_joints else ("striking_limb", limb)
+    striking = striking if not scene.striking_joints else set(scene.striking_joints)
+    fits = not named or any(JOINT_NAMES[joint] in striking for name in named for joint in LIMBS[name])
+    moved_by_file = getattr(config.stage.motion, "path", None) is not None
+    rule = f"{' or '.join(named)}, which scene.motion_prompt names ({scene.motion_prompt!r}), or auto"
+    require(fits or moved_by_file or not striking & set(JOINT_NAMES), f"scene.{key}", asked, rule)

@@ -90,6 +90,8 @@ def read_bvh(path: Path) -> Recording:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
+    if "," in text:  # of decimals in half of the world, or between numbers
+        text = text.replace(",", " " if re.search(r"\d\.\d", text) else ".")
     header, *motion = re.split(r"^\s*MOTION\s*$", text, maxsplit=1, flags=re.MULTILINE | re.IGNORECASE)
     if not motion or "HIERARCHY" not in header.upper():
         raise InputError(f"{path} is no BVH file: HIERARCHY and MOTION must each stand on a line of their own")

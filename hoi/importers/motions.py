@@ -8,20 +8,38 @@ import torch
 
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import rotation_to_6d
+from hoi.body.skeleton import JOINT_NAMES
 from hoi.body.skinning import joint_paths, sole_height
 from hoi.data import Array, Body, Motion
 from hoi.errors import InputError, about
 from hoi.importers.amass import read_amass
 from hoi.importers.bvh import read_bvh
-from hoi.importers.retarget import map_joints, retarget
+from hoi.importers.retarget import is_mirrored, is_standing, map_joints, named, read_names, retarget
 from hoi.motion.features import towards_plus_y
 
 SUFFIXES = (".npz", ".bvh")
 Y_TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+HALF_TURN = np.diag([1.0, -1, -1])
+TO_Z_UP = {
+    "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+    "-x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]) @ np.diag([-1.0, -1, 1]),
+    "y": Y_TO_Z_UP,
+    "-y": Y_TO_Z_UP @ HALF_TURN,
+    "z": np.eye(3),
+    "-z": HALF_TURN,
+}
+"""The file's up axis -> the turn of its axes to ours."""
 
 
 def read_motion(
-    path: Path, body: Body, frames: int, fps: float, start_time: float = 0.0, up: str = "auto"
+    path: Path,
+    body: Body,
+    frames: int,
+    fps: float,
+    start_time: float = 0.0,
+    up: str = "auto",
+    rate: float | None = None,
+    names: Path | None = None,
 ) -> tuple[Motion, tuple[str, ...]]:
     """Read a motion file for a scene.
 
@@ -32,7 +50,9 @@ def read_motion(
     Args:
         path: .npz (see `hoi.importers.amass`) or .bvh (see `hoi.importers.retarget`).
         start_time: where in the recording the motion begins [s].
-        up: the file's up axis, "y" or "z"; "auto" takes the one along which the pelvis' own up axis mostly lies.
+        up: the file's up axis, "y", "-y", ...; "auto" takes the one along which the pelvis' own up axis mostly lies.
+        rate: frames a second of the file, whatever it says itself; None takes what it says.
+        names: what each joint of a .bvh stands for, see `hoi.importers.retarget.read_names`.
 
     Returns:
         The motion, and what there is to say about it.
@@ -42,17 +62,18 @@ def read_motion(
     """
     notes: tuple[str, ...] = ()
     if path.suffix.lower() == ".npz":
-        local, translation, rate = read_amass(path, body.rest_joints)
+        local, translation, rate, notes = read_amass(path, body.rest_joints, rate)
     elif path.suffix.lower() == ".bvh":
-        local, translation, rate, notes = _from_bvh(path, body)
+        local, translation, own, notes = _from_bvh(path, body, names)
+        rate = own if rate is None else rate
     else:
         raise InputError(f"{path}: a motion is read from {' or '.join(SUFFIXES)}, not from {path.suffix!r}")
     length = (len(local) - 1) / rate
     if not 0 <= start_time <= length:
         raise InputError("start_time", f"{start_time:g}", f"in [0, {length:g}] s, which {path} lasts")
     axis = _up_axis(local[:, 0], path) if up == "auto" else up
-    if axis == "y":
-        local[:, 0], translation = Y_TO_Z_UP @ local[:, 0], translation @ Y_TO_Z_UP.T
+    axis = axis.removeprefix("+")
+    local[:, 0], translation = TO_Z_UP[axis] @ local[:, 0], translation @ TO_Z_UP[axis].T
     whole = _motion(local, translation, rate)
     ground = joint_paths(body, whole)[int(start_time * rate) :, :, 2].min() - sole_height(body)
     whole.translation[:, 2] -= ground
@@ -66,22 +87,39 @@ def read_motion(
     return placed, (f"{seconds}; {used}", *notes)
 
 
-def _from_bvh(path: Path, body: Body) -> tuple[Array, Array, float, tuple[str, ...]]:
+def _from_bvh(path: Path, body: Body, given: Path | None) -> tuple[Array, Array, float, tuple[str, ...]]:
     recording = read_bvh(path)
     names, parents = [j.name for j in recording.joints], [j.parent for j in recording.joints]
+    rest, (rotations, positions), notes = recording.rest_positions(), recording.poses(), []
+    said = None if given is None else read_names(given)
     with about(path):
-        local, translation = retarget(
-            names, parents, recording.rest_positions(), *recording.poses(), np.asarray(body.rest_joints)
-        )
-    unused = [name for row, name in enumerate(names) if row not in map_joints(names, parents).values()]
-    return local, translation, recording.fps, (f"joints not used: {', '.join(unused)}",) if unused else ()
+        joints = map_joints(names, parents, rest, said)
+        if is_standing(joints, rest, body.rest_joints):
+            if is_mirrored(joints, rest):
+                notes.append("its axes are left-handed: it is mirrored")
+                mirror = np.diag([-1.0, 1, 1])
+                rest, positions, rotations = rest @ mirror, positions @ mirror, mirror @ rotations @ mirror
+        else:
+            notes.append(
+                "its rest pose is no standing person's: joints are where the file has them, but how limbs are turned"
+                " about their own axes is not known, and taken to be unturned on average"
+            )
+        local, translation = retarget(names, parents, rest, rotations, positions, np.asarray(body.rest_joints), joints)
+    if said is None and not named(names):
+        taken = ", ".join(f"{names[row]} as {JOINT_NAMES[joint]}" for joint, row in sorted(joints.items()))
+        notes.append(f"joints told by the shape of the skeleton: {taken}")
+    if unused := [name for row, name in enumerate(names) if row not in joints.values()]:
+        notes.append(f"joints not used: {', '.join(unused)}")
+    return local, translation, recording.fps, tuple(notes)
 
 
 def _up_axis(root: Array, path: Path) -> str:
-    _, y, z = root[:, :, 1].mean(axis=0)
-    if max(y, z) < 0.3 or abs(y - z) < 0.1:
+    """The axis along which the pelvis' own up axis mostly lies, and which way."""
+    mean = root[:, :, 1].mean(axis=0)
+    second, first = np.argsort(np.abs(mean))[-2:]
+    if abs(mean[first]) < 0.3 or abs(mean[first]) - abs(mean[second]) < 0.1:
         raise InputError(f"up: cannot tell the up axis of {path}; say up=y or z")
-    return "y" if y > z else "z"
+    return ("-" if mean[first] < 0 else "") + "xyz"[first]
 
 
 def _motion(local: Array, translation: Array, fps: float) -> Motion:

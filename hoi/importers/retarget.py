@@ -5,8 +5,9 @@ SMPL's T-pose to the other skeleton's rest pose.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,15 @@ import torch
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array
 from hoi.errors import InputError
+from hoi.importers.shape import map_by_shape
 
 ALIASES = {
-    "hip": ("upleg", "upperleg", "thigh", "femur", "hip"),
+    "hip": ("upleg", "upperleg", "thigh", "thighbend", "femur", "hip", "leg"),
     "knee": ("knee", "leg", "lowerleg", "lowleg", "shin", "calf", "tibia"),
     "ankle": ("ankle", "foot"),
     "foot": ("toebase", "toe", "toes", "ball", "foot"),
-    "shoulder": ("arm", "upperarm", "uparm", "humerus", "shldr", "shoulder"),
-    "elbow": ("elbow", "forearm", "lowerarm", "lowarm", "radius"),
+    "shoulder": ("arm", "upperarm", "uparm", "uarm", "humerus", "shldr", "shldrbend", "shoulder"),
+    "elbow": ("elbow", "forearm", "forearmbend", "lowerarm", "lowarm", "farm", "radius"),
     "wrist": ("wrist", "hand"),
     "hand": ("hand",),
 }
@@ -34,7 +36,7 @@ SIDED = (
     r"(?P<side>left|right)[ _.-]?(?P<part>.+)", r"(?P<part>.+?)[ _.-]?(?P<side>left|right)",
     r"(?P<side>[lr])[ _.-](?P<part>.+)", r"(?P<part>.+)[ _.-](?P<side>[lr])",
     r"(?P<side>[lr])(?P<part>hipjoint|femur|tibia|foot|toes|clavicle|humerus|radius|wrist|hand|shldr|shin|thigh|forearm"
-    r"|upleg|leg|arm|collar|shoulder|elbow|knee|ankle|hip)",
+    r"|upleg|leg|arm|uarm|farm|collar|shoulder|elbow|knee|ankle|hip|toe|thighbend|shldrbend|forearmbend)",
 )  # fmt: skip
 """How names tell left from right."""
 LIMB_BONES = {"hip": "knee", "knee": "ankle", "shoulder": "elbow", "elbow": "wrist"}
@@ -43,6 +45,8 @@ in where the joint lies, not in the pose."""
 OTHER_BONES = {"collar": "shoulder", "ankle": "foot"}
 STANDING = np.cos(np.radians(60))
 """A bone that is further than this from the T-pose's direction is not where a standing person has it."""
+BACKWARDS = -0.5
+"""Cosine between where the toes point and where the person faces, of a skeleton in left-handed axes."""
 ALIGNED = 0.9
 """Cosine above which the rest pose's body axes are taken to be the file's axes."""
 
@@ -57,29 +61,53 @@ def side_and_part(name: str) -> tuple[str, str]:
     return side, re.sub(r"[^a-z0-9]", "", part.lower()).rstrip("0123456789")
 
 
-def map_joints(names: Sequence[str], parents: Sequence[int]) -> dict[int, int]:
+def read_names(path: Path) -> dict[str, str]:
+    """SMPL joint -> the file's, of a text of lines `left_knee = KnieL`; `#` begins a remark.
+
+    Raises:
+        InputError: it cannot be read, or a line is none of this kind.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"names: {path} cannot be read: {error}") from error
+    said = {}
+    for line in filter(None, (line.partition("#")[0].strip() for line in lines)):
+        ours, _, theirs = (part.strip() for part in re.sub(r"\s*[=:]\s*", "=", line, count=1).partition("="))
+        if ours not in JOINT_NAMES or not theirs:
+            raise InputError(f"names: {path}: {line!r} must be JOINT = NAME with one of {', '.join(JOINT_NAMES)}")
+        said[ours] = theirs
+    return said
+
+
+def map_joints(
+    names: Sequence[str], parents: Sequence[int], rest: Array | None = None, given: Mapping[str, str] | None = None
+) -> dict[int, int]:
     """SMPL joint -> joint that stands for it.
 
-    Arms, legs and the head are found by name, the trunk by its place between them. Of a spine of more than three
+    Arms, legs and the head are found by name, or else by the shape of the skeleton at `rest`, (J, 3); the trunk by its
+    place between them. `given` says of some by what name they go. Of a spine of more than three
     joints the first, the middle and the last count. Joints that SMPL has not, such as fingers, are left out.
 
     Raises:
         InputError: joints that no motion can do without are not found, or a limb's are not in a row.
     """
-    plain = [name.rpartition(":")[2] for name in names]
-    prefix = _common_start(plain)  # such as "Bip01" or "Model_"
-    parts = [side_and_part(name.removeprefix(prefix).strip(" _.-")) for name in plain]
-    found: dict[str, int] = {}
-    for side in ("left", "right"):
-        for part, aliases in ALIASES.items():
-            matches = [(side, alias) for alias in aliases if (side, alias) in parts]
-            rows = [parts.index(match) for match in matches]
-            row = next((row for row in rows if row not in found.values()), None)
-            if row is not None:
-                found[f"{side}_{part}"] = row
+    found = _by_name(names)
+    if given:
+        unknown = [name for name in given.values() if name not in names]
+        if unknown:
+            raise InputError(f"names: the skeleton has no {', '.join(unknown)}; it has {', '.join(names)}")
+        found |= {ours: names.index(theirs) for ours, theirs in given.items()}
     missing = [f"{side}_{part}" for part in NEEDED for side in ("left", "right") if f"{side}_{part}" not in found]
     if missing:
-        raise InputError(f"no joint for {', '.join(missing)}; the skeleton has {', '.join(names)}")
+        told = f"no joint for {', '.join(missing)}"
+        try:
+            if rest is None or given:
+                raise InputError("")
+            found = map_by_shape(names, parents, rest)
+        except InputError as error:
+            why = f"; {error}" if str(error) else ""
+            raise InputError(f"{told}{why}; the skeleton has {', '.join(names)}") from None
 
     def above(row: int) -> list[int]:
         """The joint and all it hangs on, from the root."""
@@ -108,12 +136,48 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> dict[int, int]:
     for side, path in zip(("left", "right"), to_arms, strict=True):
         if len(path) > len(trunk):
             found[f"{side}_collar"] = path[len(trunk)]
-    if ("", "head") in parts:
-        to_head = above(parts.index(("", "head")))
-        found["head"] = to_head[-1]
+    if "head" not in found:  # what hangs above the arms, whatever it is called
+        arms = {*to_arms[0], *to_arms[1], *found.values()}
+        neck = [row for row, parent in enumerate(parents) if parent == spine[-1] and row not in arms]
+        neck = [row for row in neck if not side_and_part(names[row])[0]]
+        above_neck = [row for row, parent in enumerate(parents) if [parent] == neck]
+        if above_neck:
+            found["head"] = above_neck[0]
+    if "head" in found:
+        to_head = above(found["head"])
         if spine[-1] in to_head[:-2]:
             found["neck"] = to_head[to_head.index(spine[-1]) + 1]
     return {JOINT_NAMES.index(name): row for name, row in found.items()}
+
+
+def named(names: Sequence[str]) -> bool:
+    """Whether the names alone tell which joint is which."""
+    found = _by_name(names)
+    return all(f"{side}_{part}" in found for part in NEEDED for side in ("left", "right"))
+
+
+def _by_name(names: Sequence[str]) -> dict[str, int]:
+    """SMPL joint name -> joint, of the limbs and the head, as far as names tell."""
+    plain = [name.rpartition(":")[2] for name in names]
+    prefix, suffix = _common_start(plain), _common_start([name[::-1] for name in plain])[::-1]  # "Bip01", "_JNT"
+    suffix = suffix if re.fullmatch(r"[_. -].+", suffix) else ""
+    parts = [side_and_part(name.removeprefix(prefix).removesuffix(suffix).strip(" _.-")) for name in plain]
+    numbered = [re.search(r"\d", name.removeprefix(prefix)) is not None for name in plain]
+    found: dict[str, int] = {}
+
+    def rows(side: str, alias: str) -> list[int]:
+        """Those without a number first."""
+        return sorted((row for row, part in enumerate(parts) if part == (side, alias)), key=lambda row: numbered[row])
+
+    for side in ("left", "right"):
+        for part, aliases in ALIASES.items():
+            matches = [rows(side, alias)[0] for alias in aliases if rows(side, alias)]
+            row = next((row for row in matches if row not in found.values()), None)
+            if row is not None:
+                found[f"{side}_{part}"] = row
+    if heads := rows("", "head"):
+        found["head"] = heads[0]
+    return found
 
 
 def _common_start(rows: Sequence[Any]) -> Any:
@@ -129,6 +193,7 @@ def retarget(
     rotations: Array,
     positions: Array,
     rest_joints: Array,
+    joints: dict[int, int] | None = None,
 ) -> tuple[Array, Array]:
     """The motion of another skeleton on ours, in the other's axes.
 
@@ -143,6 +208,7 @@ def retarget(
         rotations: world rotations of the joints, (F, J, 3, 3).
         positions: of the joints, in the unit of `rest_positions`, (F, J, 3).
         rest_joints: T-pose joints of our body [m], (24, 3).
+        joints: of `map_joints`; None finds them.
 
     Returns:
         Local rotations (F, 24, 3, 3) and the path of our pelvis joint [m], (F, 3).
@@ -150,7 +216,7 @@ def retarget(
     Raises:
         InputError: as `map_joints`, or the skeleton has no extent.
     """
-    joints = map_joints(names, parents)
+    joints = map_joints(names, parents, rest_positions) if joints is None else joints
     ours = np.asarray(rest_joints, np.float64)
     theirs = {joint: rest_positions[row] for joint, row in joints.items()}
     lengths = [_leg_length(theirs), _leg_length(dict(enumerate(ours)))]
@@ -200,6 +266,33 @@ def retarget(
     hips = [JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("right_hip")]
     centre = positions[:, [joints[hip] for hip in hips]].mean(axis=1) * (lengths[1] / lengths[0])
     return local, centre - world[:, 0] @ hips_from_pelvis(ours)
+
+
+def is_standing(joints: dict[int, int], rest_positions: Array, rest_joints: Array) -> bool:
+    """Whether the legs at rest are where a standing person has them."""
+    theirs = {joint: rest_positions[row] for joint, row in joints.items()}
+    body = _body_axes(theirs)
+    for name, child in (("hip", "knee"), ("knee", "ankle")):
+        for side in ("left", "right"):
+            first, second = (JOINT_NAMES.index(f"{side}_{part}") for part in (name, child))
+            bone = _unit(np.asarray(rest_joints[second] - rest_joints[first], np.float64))
+            if bone @ _unit(body.T @ (theirs[second] - theirs[first])) <= STANDING:
+                return False
+    return True
+
+
+def is_mirrored(joints: dict[int, int], rest_positions: Array) -> bool:
+    """Whether the toes point backwards at rest, by where left and right are: the file's axes are left-handed."""
+    theirs = {joint: rest_positions[row] for joint, row in joints.items()}
+    body = _body_axes(theirs)
+    toes = [
+        theirs[JOINT_NAMES.index(f"{side}_foot")] - theirs[JOINT_NAMES.index(f"{side}_ankle")]
+        for side in ("left", "right")
+        if {JOINT_NAMES.index(f"{side}_foot"), JOINT_NAMES.index(f"{side}_ankle")} <= theirs.keys()
+    ]
+    if not toes or not np.any(toes):
+        return False
+    return bool(_unit(np.sum(toes, axis=0)) @ body[:, 2] < BACKWARDS)
 
 
 def hips_from_pelvis(rest_joints: Array) -> Array:

@@ -21,8 +21,10 @@ ADJECTIVES = 2
 """Words that may stand between a side and its limb."""
 BOTH = {"foot": "feet", "knee": "knees", "hand": "hands"}
 _PARTS = "|".join(f"(?P<{part}>{words})" for part, words in NOUNS.items())
-_BETWEEN = r"(?:[ -]+(?!and\b|then\b|to\b|with\b|while\b|or\b)[a-z]+)"
-SIDED = re.compile(rf"\b(?P<side>left|right|both|two)\b{_BETWEEN}{{0,{ADJECTIVES}}}?[ -]+(?:{_PARTS})\b")
+_NO_ADJECTIVE = r"(?!(?:and|then|to|with|while|or)\b)"
+SIDED = re.compile(
+    rf"\b(?P<side>left|right|both|two)\b(?:[ -]+{_NO_ADJECTIVE}[a-z]+){{0,{ADJECTIVES}}}?[ -]+(?:{_PARTS})\b"
+)
 
 
 def limbs_in(sentence: str) -> list[str]:

@@ -40,11 +40,10 @@ class Reduction(StrEnum):
 
 
 class UpAxis(StrEnum):
-    auto = "auto"
-    y = "y"
-    z = "z"
+    vars().update({name: name for name in ("auto", "x", "+x", "-x", "y", "+y", "-y", "z", "+z", "-z")})
 
 
+AUTO_UP = UpAxis("auto")
 STARTS = {
     MotionInit.sample: "a sample of the prior",
     MotionInit.stand: "the standing pose",
@@ -71,8 +70,12 @@ class HMSD(MotionSource):
     """The motion file (.npz, .bvh), for init=file."""
     start_time: float = 0.0
     """Where in the file the motion begins [s]."""
-    up: UpAxis = UpAxis.auto
+    up: UpAxis = AUTO_UP
     """The file's up axis; auto tells it from the person's."""
+    fps: float | None = None
+    """Frames a second of the file, where it does not say or says wrong [1/s]; null takes what it says."""
+    names: str | None = None
+    """A file that says which joint of a .bvh is which, a line each: left_knee = KnieL."""
     sample_guidance: float = MISSING
     """Guidance scale of that sample [-]."""
     sample_rescale: float = MISSING
@@ -104,6 +107,7 @@ class HMSD(MotionSource):
         given, named = self.path is not None, self.init is MotionInit.file
         rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: {key}.init is {self.init.value}"
         own(given == named, "path", "null" if self.path is None else self.path, rule)
+        own(self.fps is None or self.fps > 0, "fps", self.fps, "greater than 0 [1/s], or null")
         own(self.start_time >= 0, "start_time", self.start_time, "0 or more [s]")
         for name in ("guidance_rescale", "sample_rescale"):
             own(0 <= getattr(self, name) <= 1, name, getattr(self, name), "in [0, 1]")
@@ -186,9 +190,10 @@ class HMSD(MotionSource):
             return stand_motion(scene.body, scene.frames, scene.fps)
         from hoi.importers.motions import read_motion
 
-        with under(self.key, "start_time", "up"):
+        with under(self.key, "start_time", "up", "names"):
             place = (scene.body, scene.frames, scene.fps)
-            motion, notes = read_motion(Path(self.path), *place, self.start_time, self.up)
+            names = None if self.names is None else Path(self.names)
+            motion, notes = read_motion(Path(self.path), *place, self.start_time, self.up, self.fps, names)
         for stage in stages:
             stage.notes.extend(notes)
         return motion

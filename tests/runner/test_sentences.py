@@ -1,0 +1,206 @@
+"""Any sentence, path and order of words after `hoi run`; and the machines that it is typed on."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from hoi.caches import caches, user_caches
+from hoi.config.compose import config_of
+from hoi.errors import InputError
+from hoi.motion.sentence import limbs_in
+from hoi.runner.arguments import SENTENCE, arguments
+from hoi.terminal.overrides import as_override
+
+SENTENCES = [
+    "a person kicks the ball", "a person's kick, hard", "kick: now!", "a = b", "kick & punch", "kick | punch; stop",
+    "a (very) hard kick", "a [very] hard kick", "a {very} hard kick", 'a "hard" kick', "a 'hard' kick", "kick\\", "\\'",
+    "100% effort", "$HOME kicks", "${nothing} kicks", "${scene kicks", "kick @ 5 m/s", "kick #1", "~ kicks", "+ kicks",
+    "- kicks", "--kicks hard", "-5 degrees of kick", "kick *", "kick?", "¿kick?", "kick, kick, kick", "kick... kick",
+    "a person kicks 🙂", "🙂⚽", "踢球", "ボールを蹴る", "공을 차다", "человек бьёт по мячу", "اركل الكرة", "un coup de pied, l'été",
+    "ein Fußtritt gegen den Ball", "una patada fuerte, ¡ya!", "kick" * 300, "kick " * 400, "k", "null kick", "true",
+    "null", "1e5", "3", "0x10", "[kick]", "{kick: hard}", "choice(a,b) kick", "range(1,3)", "kick\nhard", "kick\thard",
+    "  kick  ", "a person kicks with the left foot and with the right foot, no, neither", "<b>kick</b>", "kick`s`",
+    "kick ^ hard", "kick … hard — “now”", "kick/hard", "c:\\kick", "a,b", "kick: {a, b}", "!kick", "kick='hard'",
+]  # fmt: skip
+
+
+def sentence_of(words: list[str]) -> str:
+    """What Hydra makes of the command line's sentence, as the config has it."""
+    (read,) = [
+        override for override in OverridesParser.create().parse_overrides(words) if override.key_or_group == SENTENCE
+    ]
+    assert not read.is_sweep_override()
+    return str(read.value())
+
+
+def test_there_are_enough():
+    assert len(set(SENTENCES)) >= 60
+
+
+@pytest.mark.parametrize("sentence", SENTENCES, ids=range(len(SENTENCES)))
+def test_a_sentence_means_itself(sentence):
+    """As the value of its key, and alone where it is no KEY=VALUE."""
+    expected = " ".join(sentence.splitlines())
+    both = [[f"{SENTENCE}={sentence}"]] + ([[sentence]] if "=" not in sentence else [])
+    for typed in both:
+        read = sentence_of(arguments([*typed, "seed=1"]))
+        assert read.replace("\\${", "${").strip() == expected.strip()
+
+
+@pytest.mark.parametrize("sentence", ["a person's kick, hard: ${x} = & 踢球 🙂", "\\' 100% [left] {right}", "null"])
+def test_a_sentence_arrives(sentence):
+    config = config_of(*arguments([f"{SENTENCE}={sentence}", "scene.striking_limb=null", "scene.expected_limb=any"]))
+    assert config.scene.motion_prompt == sentence
+
+
+@pytest.mark.parametrize(
+    "value", ["a (b).ply", "ä ö.ply", "a,b.ply", "a'b.ply", "a=b", "{x}", "null", "a b", "x.ply", "~/x"]
+)
+def test_a_path_means_itself(value):
+    for typed in (f"object.path={value}", as_override("object.path", value)):
+        (word,) = arguments([typed])
+        if value == "null" and typed == "object.path=null":
+            continue
+        assert OverridesParser.create().parse_override(word).value() == value
+
+
+def test_flags_stand_anywhere_and_sweeps_stay_sweeps():
+    made = arguments(["experiment=smoke", "-m", "seed=0,1", "--config-dir", "sweeps", "object.path=a,b"])
+    assert made == ["-m", "--config-dir", "sweeps", "experiment=smoke", "seed=0,1", "object.path=a,b"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        (["--foo"], "no option --foo"), (["--resolve"], "--resolve goes with"), (["-m", "--cfg", "job"], "do not go"),
+        ([""], "is empty"), (["a b", "c d"], "two sentences"), (["a \udcff b"], "no text in UTF-8"),
+        (["scene=null"], "scene must be one of"), (["a b", f"{SENTENCE}=c"], "two sentences"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_meant_is_one_line(typed, message):
+    with pytest.raises(InputError, match=message) as caught:
+        arguments(typed)
+    assert "\n" not in str(caught.value)
+
+
+def test_bytes_of_utf_8_are_text_in_any_locale():
+    typed = "踢球".encode().decode("ascii", "surrogateescape")
+    if sys.getfilesystemencoding() == "utf-8":
+        assert sentence_of(arguments([typed])) == "踢球"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "limbs"),
+    [
+        ("a person kicks with the left foot", ["left_foot"]), ("a person throws a left jab", ["left_hand"]),
+        ("a person turns left and kicks with his right foot", ["right_foot"]), ("a person kicks", ["feet"]),
+        ("a person pushes with both hands", ["hands"]), ("a person kicks the ball to the left", ["feet"]),
+        ("a knee strike with the right knee", ["right_knee"]), ("a person dances", []),
+        ("punches with the left hand and kicks with the right foot", ["left_hand", "right_foot"]),
+    ],
+)  # fmt: skip
+def test_the_limb_in_a_sentence(sentence, limbs):
+    assert limbs_in(sentence) == limbs
+
+
+def test_the_sentence_names_the_limb_of_the_scene():
+    left = config_of(f"{SENTENCE}=a person kicks with the left foot").scene
+    assert (left.striking_limb, left.expected_limb, left.contact_joint) == ("left_foot",) * 3
+    for overrides in (["scene.striking_limb=right_foot"], ["scene=push_box"]):
+        with pytest.raises(
+            InputError, match=r"scene\.striking_\w+ must be left_foot, which scene\.motion_prompt names"
+        ):
+            config_of(*overrides, f"{SENTENCE}=a person kicks with the left foot")
+    with pytest.raises(InputError, match="names left_hand and right_foot: say which"):
+        config_of(f"{SENTENCE}=punches with the left hand and kicks with the right foot")
+
+
+# --- machines ---------------------------------------------------------------------------------------------------------
+
+
+def test_caches_are_where_they_can_be_written_to(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
+    assert user_caches() == tmp_path / "new"
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
+    assert user_caches() is None
+    caches.cache_clear()
+    folder = caches()
+    assert folder is not None and folder.is_dir()
+    caches.cache_clear()
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("nobody knows")))
+    assert user_caches() is None
+
+
+ENVIRONMENTS = {
+    "no home": {"HOME": None}, "home that is a file": {"HOME": "{file}"}, "home in /proc": {"HOME": "/proc/nope"},
+    "relative home": {"HOME": "there"}, "unicode home": {"HOME": "{folder}/ä ö"}, "no cache": {"XDG_CACHE_HOME": "/proc/x"},
+    "nothing": dict.fromkeys(("HOME", "LANG", "LC_ALL", "TERM", "USER", "XDG_CACHE_HOME"), None),
+    "C": {"LC_ALL": "C"}, "POSIX without UTF-8": {"LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+    "another locale": {"LC_ALL": "de_DE.UTF-8"}, "a locale that is not there": {"LC_ALL": "xx_XX"},
+    "latin console": {"PYTHONIOENCODING": "latin-1"}, "ASCII console": {"PYTHONIOENCODING": "ascii"},
+    "dumb terminal": {"TERM": "dumb"}, "narrow": {"COLUMNS": "10"}, "odd path": {"PATH": "/nowhere"}, "empty path": {"PATH": ""},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_it_runs_in_any_environment(name, tmp_path):
+    """The compiler starts, the plan is printed, nothing aborts."""
+    (tmp_path / "file").write_text("")
+    environment = dict(os.environ)
+    for key, value in ENVIRONMENTS[name].items():
+        environment.pop(key, None)
+        if value is not None:
+            environment[key] = value.format(file=tmp_path / "file", folder=tmp_path)
+    code = """
+import sys
+from hoi import compute
+compute.start_compiler("float32", 1, "cpu")
+sys.argv = ["hoi.run", "a person kicks, l'été 踢", "plan_only=true"]
+from hoi.run import main
+main()
+"""
+    folder = tmp_path / "ä (b), c"
+    folder.mkdir()
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode(errors="replace")
+    assert b"variant full" in done.stdout and b"Traceback" not in done.stderr and not list(folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "-m hoi",
+        "-m hoi run --help",
+        "-m hoi run plan_only=true",
+        "-m hoi run -m seed=0,1 plan_only=true",
+        "-m analysis.metrics",
+    ],
+)
+def test_a_console_that_goes_away_is_no_error(command, tmp_path):
+    """As `| head` leaves it: nobody reads what is written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as console:
+        done = subprocess.run([sys.executable, *command.split()], cwd=tmp_path, stdout=console, stderr=subprocess.PIPE)
+    assert done.returncode == 0 and b"Traceback" not in done.stderr and b"BrokenPipe" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["~seed"], 2, "seed: no value given"), (["+scene.striking_lmib=a"], 2, "scene.striking_limb"),
+        (["scene=kick_socer_ball"], 2, "the nearest is scene=kick_soccer_ball"),
+        (["seed=99999999999999999999"], 2, "seed must be at most"), (["scene.fsp=3"], 2, "the nearest is scene.fps"),
+        (["-m", "seed=-1", "hydra/sweeper=basic", "out=here"], 3, "seed must be 0 or more"),
+        (["-m", "seed=-1", "out=${now:%Y}/${seed}"], 3, "1 of 1 runs failed"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_a_line(arguments, code, said, tmp_path):
+    done = subprocess.run([sys.executable, "-m", "hoi.run", *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == code and said in done.stderr and "Traceback" not in done.stderr, done.stderr
