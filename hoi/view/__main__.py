@@ -1,6 +1,7 @@
 """Finished runs in the browser, from their records alone.
 
     python -m hoi.view RUN.mcap [RUN2.mcap ...] [--port 8080] [--open]
+    hoi view --live [scene=NAME ...]        (a scene that is being set up: python -m hoi.live)
 
 Several runs are seen side by side in one clock. Exit codes: 0 ended with Ctrl-C; 2 bad input.
 """
@@ -27,7 +28,15 @@ def _parser() -> argparse.ArgumentParser:
     add("records", type=Path, nargs="+", metavar="RUN.mcap")
     add_server_options(parser)
     add("--paused", action="store_true", help="do not play at once")
+    add("--live", action=_Live, nargs=0, help="of `hoi view` alone: a scene that is being set up, python -m hoi.live")
     return parser
+
+
+class _Live(argparse.Action):
+    """Another program's."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *args: object) -> None:
+        parser.error("--live is another program: hoi view --live scene=NAME, or python -m hoi.live scene=NAME")
 
 
 def main(arguments: list[str] | None = None) -> int:
