@@ -15,6 +15,8 @@ def user_caches() -> Path | None:
     """XDG_CACHE_HOME, or else .cache at home, which is made if need be; None where it cannot be written to."""
     try:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        if not folder.is_absolute():  # means nothing
+            return None
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder

@@ -11,6 +11,7 @@ import gc
 import importlib
 import inspect
 import io
+import locale
 import os
 import sys
 from typing import Any, Literal
@@ -63,6 +64,10 @@ def _compiler() -> Any:
         raise InputError("XDG_CACHE_HOME", os.environ.get("XDG_CACHE_HOME", "nothing"),
                          "a folder that can be written to: neither home nor the temporary folder can")  # fmt: skip
     os.environ["XDG_CACHE_HOME"] = str(folder)
+    try:
+        locale.getdefaultlocale()
+    except ValueError:  # one that this machine has not, and the compiler asks for its encoding
+        os.environ["LC_ALL"] = "C.UTF-8"
     try:
         return importlib.import_module(compiler())
     except ImportError as error:

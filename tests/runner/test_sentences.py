@@ -20,7 +20,9 @@ SENTENCES = [
     "a (very) hard kick", "a [very] hard kick", "a {very} hard kick", 'a "hard" kick', "a 'hard' kick", "kick\\", "\\'",
     "100% effort", "$HOME kicks", "${nothing} kicks", "${scene kicks", "kick @ 5 m/s", "kick #1", "~ kicks", "+ kicks",
     "- kicks", "--kicks hard", "-5 degrees of kick", "kick *", "kick?", "¿kick?", "kick, kick, kick", "kick... kick",
-    "a person kicks 🙂", "🙂⚽", "踢球", "ボールを蹴る", "공을 차다", "человек бьёт по мячу", "اركل الكرة", "un coup de pied, l'été",
+    "a person kicks 🙂", "🙂⚽", "踢球", "ボールを蹴る", "공을 차다", "человек бьёт по мячу",
+    "اركل الكرة",
+    "un coup de pied, l'été",
     "ein Fußtritt gegen den Ball", "una patada fuerte, ¡ya!", "kick" * 300, "kick " * 400, "k", "null kick", "true",
     "null", "1e5", "3", "0x10", "[kick]", "{kick: hard}", "choice(a,b) kick", "range(1,3)", "kick\nhard", "kick\thard",
     "  kick  ", "a person kicks with the left foot and with the right foot, no, neither", "<b>kick</b>", "kick`s`",
@@ -111,9 +113,7 @@ def test_the_sentence_names_the_limb_of_the_scene():
     left = config_of(f"{SENTENCE}=a person kicks with the left foot").scene
     assert (left.striking_limb, left.expected_limb, left.contact_joint) == ("left_foot",) * 3
     for overrides in (["scene.striking_limb=right_foot"], ["scene=push_box"]):
-        with pytest.raises(
-            InputError, match=r"scene\.striking_\w+ must be left_foot, which scene\.motion_prompt names"
-        ):
+        with pytest.raises(InputError, match=r"scene\.striking_\w+ must be left_foot, which"):
             config_of(*overrides, f"{SENTENCE}=a person kicks with the left foot")
     with pytest.raises(InputError, match="names left_hand and right_foot: say which"):
         config_of(f"{SENTENCE}=punches with the left hand and kicks with the right foot")
@@ -139,12 +139,14 @@ def test_caches_are_where_they_can_be_written_to(tmp_path, monkeypatch):
 
 ENVIRONMENTS = {
     "no home": {"HOME": None}, "home that is a file": {"HOME": "{file}"}, "home in /proc": {"HOME": "/proc/nope"},
-    "relative home": {"HOME": "there"}, "unicode home": {"HOME": "{folder}/ä ö"}, "no cache": {"XDG_CACHE_HOME": "/proc/x"},
+    "relative home": {"HOME": "there"}, "unicode home": {"HOME": "{folder}/ä ö"},
+    "no cache": {"XDG_CACHE_HOME": "/proc/x"},
     "nothing": dict.fromkeys(("HOME", "LANG", "LC_ALL", "TERM", "USER", "XDG_CACHE_HOME"), None),
     "C": {"LC_ALL": "C"}, "POSIX without UTF-8": {"LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
     "another locale": {"LC_ALL": "de_DE.UTF-8"}, "a locale that is not there": {"LC_ALL": "xx_XX"},
     "latin console": {"PYTHONIOENCODING": "latin-1"}, "ASCII console": {"PYTHONIOENCODING": "ascii"},
-    "dumb terminal": {"TERM": "dumb"}, "narrow": {"COLUMNS": "10"}, "odd path": {"PATH": "/nowhere"}, "empty path": {"PATH": ""},
+    "dumb terminal": {"TERM": "dumb"}, "narrow": {"COLUMNS": "10"}, "odd path": {"PATH": "/nowhere"},
+    "empty path": {"PATH": ""},
 }  # fmt: skip
 
 
@@ -161,13 +163,18 @@ def test_it_runs_in_any_environment(name, tmp_path):
 import sys
 from hoi import compute
 compute.start_compiler("float32", 1, "cpu")
-sys.argv = ["hoi.run", "a person kicks, l'été 踢", "plan_only=true"]
+sys.argv = ["hoi.run", *sys.argv[1:]]
 from hoi.run import main
 main()
 """
     folder = tmp_path / "ä (b), c"
     folder.mkdir()
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, "a person kicks, l'été 踢", "plan_only=true"],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+    )
     assert done.returncode == 0, done.stderr.decode(errors="replace")
     assert b"variant full" in done.stdout and b"Traceback" not in done.stderr and not list(folder.iterdir())
 
