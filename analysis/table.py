@@ -78,8 +78,8 @@ def collect(folder: Path, jobs: int = 1, kept: Path | None = None) -> pd.DataFra
     rows = [_scored(folder, path, row) for path, row in zip(files, rows, strict=True)]
     places = [(str(Path(str(row["path"])).parent), row["config_hash"]) for row in rows]
     done = {place for row, place in zip(rows, places, strict=True) if row["status"] == DONE}
-    kept = [row for row, place in zip(rows, places, strict=True) if row["status"] != FAILED or place not in done]
-    return pd.DataFrame(kept, columns=[*FACTS, *METRICS, *SCORES, "warning"])
+    rows = [row for row, place in zip(rows, places, strict=True) if row["status"] != FAILED or place not in done]
+    return pd.DataFrame(rows, columns=[*FACTS, *METRICS, *SCORES, "warning"])
 
 
 def each(read: Callable[[T], R], items: Sequence[T], jobs: int) -> list[R]:

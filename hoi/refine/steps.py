@@ -73,8 +73,10 @@ class LimbSteps:
         for variable in range(count):
             turns[1 + variable, joints[variable // 3], variable % 3] = TURN
         theta = pose.body_pose[rows][:, None] + turns
-        parts = (part[rows][:, None].expand(-1, 1 + count, -1) for part in (pose.translation, pose.orientation))
-        skin = pose_means(self._body, *(part.flatten(0, 1) for part in parts), theta.flatten(0, 1))
+        translation, orientation = (
+            part[rows][:, None].expand(-1, 1 + count, -1).flatten(0, 1) for part in (pose.translation, pose.orientation)
+        )
+        skin = pose_means(self._body, translation, orientation, theta.flatten(0, 1))
         skin = skin.unflatten(0, (len(rows), -1)).flatten(2)
         return (skin[:, 1:] - skin[:, :1]) / TURN
 
