@@ -32,7 +32,7 @@ class WindowedRefinement(Refinement):
     """What moves theta of the frames around t_c, whatever the loss."""
 
     when: RefineWhen = MISSING
-    """Only when a limb enters the object by more than `tolerance`, or whenever there is a contact."""
+    """Only when a limb enters the object by more than `tolerance` or is off it by d_contact, or at every contact."""
     tolerance: float = MISSING
     """Deepest penetration in the window that needs no refinement [m]."""
     half_width: float = MISSING
@@ -82,7 +82,7 @@ class WindowedRefinement(Refinement):
         return self.iterations
 
     def plan(self, config: Config, draft: Draft) -> None:
-        needed = f" where a limb is more than {self.tolerance:g} m deep in the object"
+        needed = f" where a limb is more than {self.tolerance:g} m deep in the object or off it"
         around = "t_c" if any(step.name == "contact" for step in draft.steps) else "t*"
         whose = " of all joints" if self.joints is Joints.all else ""
         detail = (
