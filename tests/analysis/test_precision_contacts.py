@@ -32,7 +32,7 @@ def test_every_way_composes_and_does_what_its_name_says() -> None:
         assert ("geometric" in way.kind) == (getattr(refine, "lambda_geometry", 0) > 0 or refine.name == "geometric")
         if way.kind != "none":
             assert refine.when == ("always" if way.iterations else "needed")
-            assert refine.iterations == (way.iterations or 100)
+            assert refine.iterations == (way.iterations or 25)
 
 
 def test_summary_is_mean_spread_and_count() -> None:
