@@ -80,6 +80,6 @@ def test_it_runs_away_from_the_checkout(installed, tmp_path):
     assert not [path for path in paths if (Path(path) / "pyproject.toml").is_file()]
     said = ran(installed / "hoi", "run", *SMOKE, "out=runs/s0", cwd=tmp_path)
     assert "recorded runs/s0/run.mcap" in said and (tmp_path / "runs" / "s0" / "run.mp4").is_file()
-    assert ran(installed / "hoi", "table", cwd=tmp_path).startswith("1 records (1 done, 0 failed, 0 unreadable)")
+    assert "\n1 records (1 done, 0 failed, 0 unreadable)" in ran(installed / "hoi", "table", cwd=tmp_path)
     assert ran(installed / "hoi", "table", "--help", cwd=tmp_path).startswith("usage: python -m hoi.analysis.table")
     assert ran(installed / "hoi", "report", cwd=tmp_path).startswith("1 records in runs/report.html")

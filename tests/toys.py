@@ -10,6 +10,7 @@ from hoi.config import Config, StageConf
 from hoi.data import Contact, ContactSearch, Plan, Step, Target
 from hoi.errors import RunError
 from hoi.method.object_motion import Advanced, at_rest
+from hoi.method.pose import PoseParameters
 from hoi.record import Footage
 from hoi.render.cameras import look_at
 from hoi.render.encode import encode
@@ -47,7 +48,10 @@ class ToyMotion(Toy, MotionSource):
     def prior(self, scene, device, stand):
         """One that wants everything small."""
         self.note("prior", device)
-        return SimpleNamespace(loss=lambda pose, generators: sum(x.square().flatten(1).sum(1) for x in pose.leaves()))
+        return SimpleNamespace(
+            loss=lambda pose, generators: sum(x.square().flatten(1).sum(1) for x in pose.leaves()),
+            pose=lambda motions, device: PoseParameters.of(motions, device),
+        )
 
     def motions(self, scene, distillation, seeds, stages):
         """Standing, with a noise of the seed."""

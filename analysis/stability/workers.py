@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from itertools import groupby
 
-from . import blows
+from .blow_trial import verdict_of as judged_blow
 from .blows import Blow
 from .cases import Case
 from .trial import attempt
@@ -24,7 +24,7 @@ BATCH = 12
 
 def verdict_of(case: Case | Blow) -> Verdict:
     """Runs and judges one case in this process."""
-    return blows.verdict_of(case) if isinstance(case, Blow) else judge(attempt(case))
+    return judged_blow(case) if isinstance(case, Blow) else judge(attempt(case))
 
 
 def run_all(cases: Iterable[Case | Blow], jobs: int) -> Iterator[tuple[Case | Blow, Verdict]]:

@@ -13,7 +13,6 @@ import numpy as np
 from hoi.data import Array
 from hoi.errors import InputError, about
 from hoi.files import whole_file
-from hoi.importers.smpl import BODY_JOINTS, FAMILIES
 from hoi.importers.unpickle import read_arrays
 from hoi.terminal.arguments import refusing
 
@@ -26,6 +25,8 @@ def rest_joints(path: Path) -> Array:
     Raises:
         InputError: no SMPL, SMPL-H or SMPL-X model file.
     """
+    from hoi.importers.smpl import BODY_JOINTS, FAMILIES
+
     arrays = read_arrays(path, KEYS)
     with about(path):
         if missing := [key for key in KEYS if key not in arrays]:

@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m hoi.runner.doctor",
         description="What this machine can do: of each experiment what it needs and what of it is missing here.",
-        epilog="example: hoi doctor mdm=weights/mdm-smpl cogvideox=weights/CogVideoX-5b",
+        epilog="example: python -m hoi.runner.doctor mdm=weights/mdm-smpl cogvideox=weights/CogVideoX-5b",
     )
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as of hoi run, such as mdm=FOLDER")
     return parser

@@ -52,6 +52,7 @@ def lasting_console() -> None:
                 stream.detach(), encoding, "backslashreplace", line_buffering=lines, write_through=not lines
             )
             setattr(sys, name, console)
+            setattr(sys, f"__{name}__", console)  # or libraries take it for a notebook's
 
 
 def program(main: Callable[[], int | None]) -> NoReturn:

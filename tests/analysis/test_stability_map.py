@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from analysis.stability.__main__ import main
-from analysis.stability.blows import BLOWS, verdict_of
+from analysis.stability.blow_trial import verdict_of
+from analysis.stability.blows import BLOWS
 from analysis.stability.cases import CASES, MODELS, Case, quick
 from analysis.stability.outcome import Look, Outcome
 from analysis.stability.trial import SHAPES, attempt

@@ -30,6 +30,7 @@ from hoi.config import CONF, SCHEMAS, register
 from hoi.gaussians import fibonacci_sphere, write_ply, write_splat, write_spz
 from hoi.record import write
 from hoi.record.schemas import ATTACHMENTS, JSON_SCHEMAS, PROTOBUF_SCHEMAS
+from hoi.runner.arguments import arguments as typed
 from hoi.runner.execute import execute
 from tests.bodies import cloud_of
 from tests.conftest import ROOT
@@ -123,7 +124,7 @@ def check_module(module: str, arguments: list[str], folder: Path) -> None:
         overrides = [*(stand_in(word, folder) for word in arguments), "plan_only=true", f"out={folder}/out"]
         register()
         with initialize_config_dir(str(CONF), version_base="1.3"):  # `python -m hoi.run` composes twice
-            execute(compose("config", overrides), overrides)
+            execute(compose("config", typed(overrides)), overrides)
 
 
 def stand_in(argument: str, folder: Path) -> str:

@@ -48,7 +48,7 @@ def places(run) -> np.ndarray:
 def test_smpl_file_gives_the_joints_back(run, places, tmp_path):
     write_smpl(run, tmp_path / "smpl.npz")
     rest = run.scene.body.rest_joints.astype(np.float64)
-    local, path, fps = read_amass(tmp_path / "smpl.npz", rest)
+    local, path, fps, _ = read_amass(tmp_path / "smpl.npz", rest)
     with np.load(tmp_path / "smpl.npz", allow_pickle=False) as data:
         start = data["trans"][0] + data["rest_joints"][0]
         assert data["poses"].shape == (FRAMES, 72) and data["betas"].shape == (10,)

@@ -158,7 +158,7 @@ def test_sampled_kick_stands_on_the_ground_and_is_read_as_a_motion_file(tmp_path
     ("options", "message"),
     [
         (["-o", "m.bvh"], "--out m.bvh: must end in .npz or .mcap"),
-        (["-o", "/none/m.npz", "--frames", "4"], "--out /none/m.npz"),
+        (["-o", "/none/m.npz", "--frames", "4"], "cannot write /none/m.npz"),
         (["-o", "/none/m.mcap", "--frames", "4"], "cannot write /none/m.mcap"),
         (["-o", "m.npz", "--frames", "2"], "--frames 2: must be at least 3"),
         (["-o", "m.npz", "--guidance", "nan", "--frames", "4"], "--guidance nan: the motion is not finite"),

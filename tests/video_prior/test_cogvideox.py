@@ -259,9 +259,7 @@ def test_missing_weights_say_what_to_do(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_missing_packages_are_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(weights, "find_spec", lambda name: None if name == "sentencepiece" else name)
-    with pytest.raises(
-        InputError, match=r"no package sentencepiece at this Python; pip install 'hoi\[video\]'.*geometric"
-    ):
+    with pytest.raises(InputError, match=r"no package sentencepiece; pip install 'hoi\[video\]'.*geometric"):
         load(folder)
 
 
@@ -303,7 +301,7 @@ def test_nothing_is_unpickled(folder: Path, tmp_path: Path, monkeypatch: pytest.
         copy = Path(shutil.copytree(folder, tmp_path / part))
         weights = copy / part / f"{name}.safetensors"
         weights.rename(weights.with_suffix(".bin"))
-        with pytest.raises(InputError, match="cannot be read"):
+        with pytest.raises(InputError, match=f"no whole CogVideoX-5B .{part}/{name}.safetensors"):
             load(copy).prepare(*PROMPTS)
     copy = Path(shutil.copytree(folder, tmp_path / "text"))
     (copy / "text_encoder" / "model.safetensors").rename(copy / "text_encoder" / "pytorch_model.bin")
