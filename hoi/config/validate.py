@@ -53,8 +53,8 @@ def _strange(node: DictConfig, prefix: str = "") -> Iterator[str]:
     known = [field.name for field in fields(schema)]
     for key in map(str, node):
         if key not in known:
-            near = get_close_matches(key, known, 1, cutoff=0)
-            yield f"{prefix}{key}: there is no such key; the nearest is {prefix}{near[0]}"
+            near = [f"; the nearest is {prefix}{name}" for name in get_close_matches(key, known, 1, cutoff=0)]
+            yield f"{prefix}{key}: there is no such key{''.join(near)}"
     for key in known:
         inner = node._get_node(key)
         if inner is None:

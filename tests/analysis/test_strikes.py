@@ -26,7 +26,8 @@ def test_both_stages_are_judged_and_written(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("override", "message"), [("stage/motion=none", "needs a motion prior"), ("scene.fps=no", "scene.fps")]
+    ("override", "message"),
+    [("stage/motion=none", "stage.motion.init: there is no such key"), ("scene.fps=no", "scene.fps")],
 )
 def test_a_bad_override_is_one_line(tmp_path, monkeypatch, capsys, override, message):
     monkeypatch.setattr(sys, "argv", ["strikes", "-o", str(tmp_path), "--start", "sample", override])
