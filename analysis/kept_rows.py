@@ -12,7 +12,6 @@ from hoi.files import whole_file
 NAME = "rows.json"
 TAIL = 4096
 """Bytes of a record's end that tell it apart: its summary, with counts and offsets of all messages."""
-READERS = ("metrics/*.py", "records.py", "posing.py", "table.py")
 
 Row = dict[str, object]
 
@@ -30,11 +29,14 @@ def identity(path: Path) -> str:
 
 
 def readers() -> str:
-    """Of the code that makes rows of records."""
-    here = Path(__file__).parent
-    files = sorted(file for pattern in READERS for file in here.glob(pattern))
-    parts = [hoi.__version__.encode(), *(file.read_bytes() for file in files)]
-    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+    """Of all code, as metrics call on most of it, and of the weights of those that are learned."""
+    digest = hashlib.sha256()
+    for folder in (Path(__file__).parent, Path(hoi.__file__).parent):
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.read_bytes())
+        for file in sorted(folder.rglob("*.safetensors")):
+            digest.update(f"{file.name} {file.stat().st_size} {file.stat().st_mtime_ns}".encode())
+    return digest.hexdigest()
 
 
 def load(folder: Path) -> dict[str, Row]:

@@ -1,6 +1,7 @@
 """A run that is made while it is looked at: what is wanted changes, and only the last wish counts."""
 
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -124,6 +125,9 @@ class Rehearsal:
                 pass
             except (InputError, RunError) as error:
                 self._said("; ".join(str(error).splitlines()))
+            except Exception as error:  # a fault of ours, or no memory: the next wish is made all the same
+                traceback.print_exc()
+                self._said(f"{type(error).__name__}: {error}")
             done = number
 
     def _settled(self, done: int) -> int:

@@ -36,8 +36,8 @@ NEVER = ("seed", "seeds", "out", "overwrite", "plan_only", "experiment", "ablati
 STEPS = {
     "free motion": ("free_motion",),
     "motion": ("motion",),
-    "coordinate": ("free_motion", "motion", "coordinate"),
-    "resimulate": ("free_motion", "motion", "coordinate", "contact", "resimulate", "react"),
+    "coordinate": ("free_motion", "motion", "approach", "coordinate"),
+    "resimulate": ("free_motion", "motion", "approach", "coordinate", "contact", "resimulate", "react"),
 }
 """The steps of the plan that each depends on."""
 USES = {"free motion": (), "motion": ("motion_prior",)}

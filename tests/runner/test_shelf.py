@@ -77,6 +77,9 @@ def test_a_shared_walk_is_the_same_to_the_bit_and_says_so() -> None:
     full, without = hoi.compose(*CHEAP), hoi.compose(*CHEAP, "ablation=no_video_sds")
     shelf = Shelf()
     walked(full, shelf)
+    middle = hoi.compose(*CHEAP, "ablation=no_contact")
+    for ours, theirs in zip(*(arrays(walked(middle, each).states[0]) for each in (shelf, None)), strict=True):
+        assert np.array_equal(ours, theirs)
     found, alone = walked(without, shelf), walked(without, None)
     assert found.distillation is None, "nothing was left to distil"
     for ours, theirs in zip(arrays(found.states[0]), arrays(alone.states[0]), strict=True):
