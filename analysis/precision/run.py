@@ -13,7 +13,7 @@ from hoi.compute import Precision
 from hoi.data import Array, ObjectState
 from hoi.errors import RunError
 from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
-from hoi.mpm.rigid import Flight, fit
+from hoi.mpm.rigid import Flight, carry, fit
 from hoi.mpm.solver import Simulation, Spline
 from hoi.mpm.stability import DEFAULT_FRACTION
 from hoi.mpm.state import centre_of_mass
@@ -186,7 +186,7 @@ def _constant_velocity(problem: Problem, start: ObjectState, volumes: Array) -> 
 
 def _ballistic(problem: Problem, start: ObjectState, volumes: Array) -> list[ObjectState]:
     flight = Flight(fit(start, volumes, 0.0), problem.gravity)
-    return [flight.carry(start, float(t)) for t in problem.times]
+    return [carry(flight, start, float(t)) for t in problem.times]
 
 
 STAND_INS: dict[str, Callable[[Problem, ObjectState, Array], list[ObjectState]]] = {

@@ -97,6 +97,6 @@ def trajectory_of(
         com=np.stack([centre_of_mass(s.positions, masses) for s in states]),
         com_velocity=np.stack([centre_of_mass(s.velocities, masses) for s in states]),
         energy=np.asarray(energy),
-        deformation_gradient=deformation if {"mpm", "flight"} & set(phase) else None,
+        deformation_gradient=deformation if {"mpm", "flight", "rolling"} & set(phase) else None,
         phase=phase,
     )

@@ -6,6 +6,7 @@ A trajectory is walked in phases:
 | --- | --- | --- |
 | mpm | always, unless one of the others holds | every particle, every step |
 | flight | no particle can touch a plane or the collider, and the body hardly vibrates | rigid, `hoi.mpm.rigid.Flight` |
+| rolling | a ball on level ground that hardly vibrates and hardly hops | rigid, `hoi.mpm.rolling.Rolling` |
 | rest | every particle has been slow for a while, by its speed of fall sqrt(g size) | held where it is |
 
 A body without strain and spin flies at once, grains and fluids too: nothing in it acts. Else flight leaves out the
@@ -17,6 +18,10 @@ plastic flow holds the body in equilibrium counts for nothing. It stays frozen i
 Measured on a football kicked up at 4 m/s, against the MPM of every step: 0.6% of its size off after 1.4 s and a bounce,
 8% after 2.6 s and three, with any tolerance from 0.0003 to 0.003. The MPM with steps 1% shorter is off by 0.2% and 5%:
 what a bounce amplifies is not the vibration left out.
+
+A ball hardly hops while its speed along the normal stays below v = sqrt(2 g h), h the `tolerance`; what does so for
+longer than the 2 v / g in which a fall goes from v to -v is held up. Its hops are left out, and its sag, which is no
+more than g / omega^2; a ball that may sag by more than the tolerance is simulated.
 """
 
 import math
@@ -30,8 +35,10 @@ from hoi.mpm import rigid
 from hoi.mpm.boundary import PLANE_DEPTH
 from hoi.mpm.collider import Collider, Partner, joined
 from hoi.mpm.materials import lame_parameters
+from hoi.mpm.rolling import Rolling, bears, is_ball
 from hoi.mpm.solver import Simulation
 
+PHASES = ("mpm", "flight", "rolling", "rest")
 LOOKS_A_PERIOD = 8
 """Looks at the body in a period of its lowest frequency."""
 STILL = 0.1
@@ -63,19 +70,22 @@ class Surroundings:
         seen = self.collider.foreseen()
         return replace(seen, times=time + seen.times)
 
-    def touches(self, positions: Array) -> bool:
-        """Whether any of the particles (P, 3) is in reach of a plane."""
-        return any(
-            ((positions - plane.point) @ plane.normal).min() <= reach
-            for plane, reach in zip(self.planes, self.reach, strict=True)
-        )
+    def touched(self, positions: Array) -> list[int]:
+        """The planes that any of the particles (P, 3) is in reach of."""
+        heights = [((positions - plane.point) @ plane.normal).min() for plane in self.planes]
+        return [i for i, (height, reach) in enumerate(zip(heights, self.reach, strict=True)) if height <= reach]
+
+    def without(self, index: int) -> "Surroundings":
+        """All but that plane."""
+        kept = [i for i in range(len(self.planes)) if i != index]
+        return replace(self, planes=[self.planes[i] for i in kept], reach=[self.reach[i] for i in kept])
 
 
 @dataclass
 class Tally:
     """What a walk did and what it left out."""
 
-    seconds: dict[str, float] = field(default_factory=lambda: {"mpm": 0.0, "flight": 0.0, "rest": 0.0})
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PHASES, 0.0))
     """Time of the object in each phase [s]."""
     changes: int = 0
     """Of phase."""
@@ -108,7 +118,7 @@ class Tally:
     @property
     def steps_left_out(self) -> float:
         """Time not simulated over the mean time step; where none was taken, over the one it began with."""
-        left_out = self.seconds["flight"] + self.seconds["rest"]
+        left_out = sum(seconds for phase, seconds in self.seconds.items() if phase != "mpm")
         return left_out / (self.seconds["mpm"] / self.steps if self.steps else self.first_step)
 
 
@@ -171,10 +181,11 @@ class Walk:
         if tolerance is not None:
             self._tolerance = tolerance
             self._between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
+        self._ground = self._rolls_on()
         self._begin_mpm()
         self.tally.first_step = self.simulation.time_step()
-        if tolerance is not None and unstrained(state) and not self._around.touches(state.positions):
-            self._take_off(rigid.fit(state, masses, moment))
+        if tolerance is not None and unstrained(state) and not self._around.touched(state.positions):
+            self._fly(rigid.fit(state, masses, moment))
 
     def advance(self, until: float) -> tuple[ObjectState, str]:
         """The state at time `until`, and the phase that led there."""
@@ -183,10 +194,10 @@ class Walk:
             moved_by = self.phase
             if self.phase == "mpm":
                 self._simulate(until)
-            elif self.phase == "flight":
-                self._fly(min(until, self._landing))
-            else:
+            elif self.phase == "rest":
                 self._pass(until)
+            else:
+                self._follow(min(until, self._path_ends))
         return self._state, moved_by
 
     def finish(self) -> Tally:
@@ -197,8 +208,8 @@ class Walk:
 
     def _begin_mpm(self) -> None:
         self.simulation, self._began = self._start(self._state, self.time), self.time
-        self._vibration: list[float] = []  # energies about the rigid motion, since no contact was possible
-        self._still_since = math.inf
+        self._vibration: list[float] = []  # energies about the rigid motion, since it has been free or rolled
+        self._still_since = self._held_since = math.inf
         self._last_look = self.time
 
     def _simulate(self, until: float) -> None:
@@ -213,20 +224,21 @@ class Walk:
             self._last_look = self.time
             box, speed = self.simulation.bounds()
             rests = self._rests(box, speed)
-            if not rests and (self._frequency is None or self._around.touches(box)):
+            if not rests and (self._frequency is None or self._around.touched(box) not in ([], [self._ground])):
                 self._vibration.clear()
+                self._held_since = math.inf
                 looks = False  # nothing to decide: the particles stay on the device
         if looks or self.time == until:
             self._state = self.simulation.state()
         if looks and rests:
             self._hold()
         elif looks and self._frequency is not None:
-            self._consider_flight(self._frequency)
+            self._consider_going_rigid(self._frequency)
 
-    def _fly(self, until: float) -> None:
-        self._state = self._flight.carry(self._departed, until - self._departure)
+    def _follow(self, until: float) -> None:
+        self._state = rigid.carry(self._path, self._departed, until - self._departure)
         self._pass(until)
-        if until >= self._landing:
+        if until >= self._path_ends:
             self.phase = "mpm"
             self.tally.changes += 1
             self._begin_mpm()
@@ -262,35 +274,65 @@ class Walk:
         self._leave_mpm("rest", 0.5 * float(self._masses @ (state.velocities**2).sum(axis=1)))
         self._state = replace(state, velocities=0 * state.velocities, affine=0 * state.affine)
 
-    def _consider_flight(self, frequency: float) -> None:
+    def _rolls_on(self) -> int | None:
+        """The plane that a ball may roll on."""
+        sag = float(np.linalg.norm(self._gravity)) / (self._frequency or math.inf) ** 2
+        if not 0 < sag <= self._tolerance * self._size or not is_ball(self._state.positions, self._masses):
+            return None
+        level = (i for i, plane in enumerate(self._around.planes) if bears(plane, self._gravity))
+        return next(level, None)
+
+    def _consider_going_rigid(self, frequency: float) -> None:
         state, half_period = self._state, LOOKS_A_PERIOD // 2
-        if self._around.touches(state.positions):
-            self._vibration.clear()
-            return
         motion = rigid.fit(state, self._masses, self._moment)
+        rolls = bool(self._around.touched(state.positions))
+        gravity = float(np.linalg.norm(self._gravity))
+        hops = math.sqrt(2 * gravity * self._tolerance * self._size)
+        along_normal = abs(float(motion.velocity @ self._gravity)) / gravity if rolls else 0.0
+        if rolls != math.isfinite(self._held_since) or along_normal > hops:
+            self._vibration.clear()
+            self._held_since = self.time if rolls and along_normal <= hops else math.inf
+        if along_normal > hops:
+            return
         self._vibration.append(rigid.vibration_energy(state, self._masses, self._moment, motion))
         largest = max(self._vibration[-half_period - 1 :])
         amplitude = math.sqrt(2 * largest / motion.mass) / frequency / self._size
         if len(self._vibration) <= half_period or amplitude > self._tolerance:
             return
-        if self._take_off(motion, self._vibration[-1]):
+        if rolls and self.time - self._held_since <= 2 * hops / gravity:
+            return
+        went = self._roll if rolls else self._fly
+        if went(motion, self._vibration[-1]):
             self.tally.vibration = max(self.tally.vibration, amplitude)
 
-    def _take_off(self, motion: rigid.RigidMotion, energy: float = 0.0) -> bool:
-        """Begins a flight where it is long enough to be worth it; `energy` is what it leaves out [J]."""
+    def _roll(self, motion: rigid.RigidMotion, energy: float) -> bool:
+        assert self._ground is not None
+        rolling = Rolling(motion, self._around.planes[self._ground], self._gravity, self._drag, self._moment)
+        hopping = float(np.linalg.norm(motion.velocity - rolling.velocity(0.0)))
+        energy += 0.5 * motion.mass * hopping**2
+        return self._go("rolling", rolling, self._around.without(self._ground), energy)
+
+    def _fly(self, motion: rigid.RigidMotion, energy: float = 0.0) -> bool:
         longest = self._end - self.time
         fastest = float(np.linalg.norm(motion.velocity)) + float(np.linalg.norm(self._gravity)) * longest
         moved = 0.5 * self._drag * fastest**2 * longest**2
         drag = self._drag if moved > self._tolerance * self._size else 0.0
-        flight, hull = rigid.Flight(motion, self._gravity, drag), rigid.hull(self._state.positions - motion.com)
-        alone = first_contact(flight, hull, self._around, self.time, longest)
-        landing = self.time + alone if alone < longest else math.inf
-        if landing <= self.time + self._between_looks:
+        if not self._go("flight", rigid.Flight(motion, self._gravity, drag), self._around, energy):
             return False
-        self._flight, self._departed, self._departure, self._landing = flight, self._state, self.time, landing
         if not drag:
             self.tally.drag_left_out += moved
-        self._leave_mpm("flight", energy)
+        return True
+
+    def _go(self, phase: str, path: rigid.Path, around: Surroundings, energy: float) -> bool:
+        """Follows a path where it is long enough to be worth it; `energy` is what it leaves out [J]."""
+        longest = self._end - self.time
+        hull = rigid.hull(self._state.positions - path.motion.com)
+        alone = first_contact(path, hull, around, self.time, longest)
+        ends = self.time + alone if alone < longest else math.inf
+        if ends <= self.time + self._between_looks:
+            return False
+        self._path, self._departed, self._departure, self._path_ends = path, self._state, self.time, ends
+        self._leave_mpm(phase, energy)
         return True
 
 
@@ -304,40 +346,37 @@ def unstrained(state: ObjectState) -> bool:
     )
 
 
-def first_contact(flight: rigid.Flight, hull: Array, around: Surroundings, start: float, longest: float) -> float:
-    """How long from its start a body can fly with no particle in reach of a plane or the collider [s].
+def first_contact(path: rigid.Path, hull: Array, around: Surroundings, start: float, longest: float) -> float:
+    """How long from its start a body can go on with no particle in reach of a plane or the collider [s].
 
     Conservative advancement: from each instant on it flies for as long as the gap is sure to last, that of its convex
     hull with every vertex at the greatest possible speed, or that of the ball around it, which does not turn.
 
     Args:
-        flight: free motion.
+        path: rigid motion.
         hull: vertices of the body about its centre of mass at the start [m], shape (V, 3).
         around: what it could touch.
-        start: the time of the walk at which the flight starts [s].
+        start: the time of the walk at which the path starts [s].
         longest: the answer is no longer than this [s].
     """
     radius = float(np.linalg.norm(hull, axis=1).max())
     time, moving = 0.0, around.moving(start)
     while time < longest:
-        com, velocity = flight.com(time), flight.velocity(time)
-        # The air holds a rising body back and only helps a falling one; no later speed is above this and a fall's.
-        slowing = 0.0
-        if flight.drag:
-            slowing = max(flight.drag * float(velocity @ velocity), float(np.linalg.norm(flight.gravity)))
-        vertices = hull @ flight.rotation(time).T
+        com, velocity = path.com(time), path.velocity(time)
+        unsteady = path.unsteadiness(time)
+        vertices = hull @ path.rotation(time).T
         sure = math.inf
         for plane, reach in zip(around.planes, around.reach, strict=True):
             height = float((com - plane.point) @ plane.normal) - reach
-            rate, acceleration = float(velocity @ plane.normal), float(flight.gravity @ plane.normal) - slowing
+            rate, acceleration = float(velocity @ plane.normal), float(path.gravity @ plane.normal) - unsteady
             ball = _time_to_close(height - radius, rate, acceleration)
-            turning = rate - flight.fastest * radius
+            turning = rate - path.fastest * radius
             sure = min(sure, max(ball, _time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
         if moving is not None and start + time < moving.times[-1]:
             gap, speed = _gap_to_collider(moving, com, start + time)
             rate = -float(np.linalg.norm(velocity)) - speed
             gap -= radius + around.collider_reach
-            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(flight.gravity)) - slowing))
+            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(path.gravity)) - unsteady))
         if sure < RESOLUTION:
             return time
         time += sure

@@ -8,6 +8,7 @@ The transfers of the MPM conserve just these sums.
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,7 +124,7 @@ class Flight:
 
     def __init__(self, motion: RigidMotion, gravity: ArrayLike, drag: float = 0.0) -> None:
         self.motion, self.drag = motion, drag
-        self.gravity = np.asarray(gravity, dtype=np.float64)
+        self.gravity: Array = np.asarray(gravity, dtype=np.float64)
         moments, axes = np.linalg.eigh(motion.inertia)
         self._axes = axes * np.linalg.det(axes)  # right-handed
         self.fastest = float(np.linalg.norm(motion.angular_momentum) / moments[0])
@@ -160,19 +161,15 @@ class Flight:
         r = self.rotation(time)
         return r @ (self._inverse @ (self.motion.angular_momentum @ r))
 
-    def carry(self, state: ObjectState, time: float) -> ObjectState:
-        """The state at the start carried along for `time` [s]: its strain goes with it, frozen."""
-        r, com = self.rotation(time), self.com(time)
-        spin = cross_matrix(self.angular_velocity(time))
-        arms = (state.positions - self.motion.com) @ r.T
-        return replace(
-            state,
-            positions=com + arms,
-            velocities=self.velocity(time) + arms @ spin.T,
-            affine=np.tile(spin, (len(arms), 1, 1)),
-            deformation_gradient=r @ state.deformation_gradient,
-            elastic=None if state.elastic is None else r @ state.elastic,
-        )
+    def unsteadiness(self, time: float) -> float:
+        """Bound of the air's part of the acceleration from a time on [m/s^2].
+
+        The air holds a rising body back and only helps a falling one; no later speed is above this and a fall's.
+        """
+        if not self.drag:
+            return 0.0
+        velocity = self.velocity(time)
+        return max(self.drag * float(velocity @ velocity), float(np.linalg.norm(self.gravity)))
 
     def _slow(self, _: float, state: Array) -> Array:
         """Of the way and the velocity (6,)."""
@@ -192,9 +189,71 @@ class Flight:
                                w * third - y * first])  # fmt: skip
 
 
+class Path(Protocol):
+    """A rigid motion from one state on; times count from there [s]."""
+
+    motion: RigidMotion
+    """Where it starts."""
+    gravity: Array
+    """Its steady acceleration [m/s^2], shape (3,)."""
+    fastest: float
+    """Bound of |w| for all times [rad/s]."""
+
+    def com(self, time: float, /) -> Array:
+        """Centre of mass [m], shape (3,)."""
+        ...
+
+    def velocity(self, time: float, /) -> Array:
+        """Of the centre of mass [m/s], shape (3,)."""
+        ...
+
+    def rotation(self, time: float, /) -> Array:
+        """R from the start on, shape (3, 3)."""
+        ...
+
+    def angular_velocity(self, time: float, /) -> Array:
+        """w [rad/s], world frame, shape (3,)."""
+        ...
+
+    def unsteadiness(self, time: float, /) -> float:
+        """Bound of how far the acceleration is from `gravity` from a time on [m/s^2]."""
+        ...
+
+
+def carry(path: Path, state: ObjectState, time: float) -> ObjectState:
+    """The state at the start of a path carried along for `time` [s]: its strain goes with it, frozen."""
+    r, com = path.rotation(time), path.com(time)
+    spin = cross_matrix(path.angular_velocity(time))
+    arms = (state.positions - path.motion.com) @ r.T
+    return replace(
+        state,
+        positions=com + arms,
+        velocities=path.velocity(time) + arms @ spin.T,
+        affine=np.tile(spin, (len(arms), 1, 1)),
+        deformation_gradient=r @ state.deformation_gradient,
+        elastic=None if state.elastic is None else r @ state.elastic,
+    )
+
+
 def cross_matrix(w: Array) -> Array:
     """[w]_x, shape (3, 3)."""
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def turning(angular_velocity: Callable[[float], Array]) -> Callable[[float], Array]:
+    """R(t) with R' = [w(t)]_x R and R(0) = I, for t >= 0."""
+
+    def rate(time: float, q: Array) -> Array:
+        spin = angular_velocity(time)
+        return 0.5 * np.array([-spin @ q[1:], *(q[0] * spin + np.cross(spin, q[1:]))])
+
+    path = _Path(rate, np.array([1.0, 0, 0, 0]))
+
+    def rotation(time: float) -> Array:
+        q = path(time) if time > 0 else np.array([1.0, 0, 0, 0])
+        return _matrix(q / np.linalg.norm(q))
+
+    return rotation
 
 
 def rotation_by(vector: Array) -> Array:

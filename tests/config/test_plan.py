@@ -92,7 +92,7 @@ def test_free_motion_of_a_still_object_is_left_out(plan, override, simulated):
 @pytest.mark.parametrize(
     ("overrides", "phases"),
     [
-        ([], "mpm, flight, rest"),
+        ([], "mpm, flight, rolling, rest"),
         (["material=sand"], "mpm, rest"),
         (["stage.object.phases=false"], "mpm"),
         (["stage/object=mpm_paper"], "mpm"),

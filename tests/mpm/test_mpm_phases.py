@@ -219,7 +219,7 @@ def test_first_contact_is_neither_late_nor_early(seed: int) -> None:
     found = first_contact(flight, rigid.hull(body), around, 0.0, 2.0)
     for t in np.arange(0, 2, 1e-4):
         x = flight.com(t) + body @ flight.rotation(t).T
-        if around.touches(x):
+        if around.touched(x):
             break
     assert t - 1e-3 < found <= t
 

@@ -152,7 +152,10 @@ class MPM(ObjectMover):
         if loose:
             return "mpm, rest", f"{bound}; {', '.join(loose)} flies as one piece only until it is touched"
         air = "; the air slows flights alone: what it is worth elsewhere is in the record" if self.air_density else ""
-        return "mpm, flight, rest", f"exact rigid flight where no contact is possible; {bound}{air}"
+        return (
+            "mpm, flight, rolling, rest",
+            f"rigid flight where no contact is possible, balls roll; {bound}{air}",
+        )
 
     def mover(self, object_size: float, threads: int, device: str) -> Mover:
         from functools import partial
