@@ -18,6 +18,8 @@ class Limbs:
         means = posed_means(body, motion)
         self.at_frames = {joint: means[:, self.members[joint]] for joint in self.joints}
         """World means at whole frames [m], (T, M, 3) a joint."""
+        self.boxes = {joint: (path.min(axis=1), path.max(axis=1)) for joint, path in self.at_frames.items()}
+        """Corners of the boxes of these [m], (T, 3) each."""
 
     def at(self, joint: int, frames: Array) -> Array:
         """World means of a joint's Gaussians at fractional frames [m], (F, M, 3)."""

@@ -186,19 +186,24 @@ def _point_velocity(body: Body, motion: Motion, joint: int, frame: float, point:
 
 
 def _smallest_gap(limbs: Limbs, surface: Array) -> tuple[float, float, int]:
-    """Smallest distance [m] between person and object at whole frames, its frame and joint."""
-    best = (np.inf, 0.0, 0)
-    for frame, points in enumerate(surface):
-        tree = KDTree(points)
-        for joint in limbs.joints:
-            limb = limbs.at_frames[joint][frame]
-            low, high = limb.min(axis=0), limb.max(axis=0)
-            box_gap = np.linalg.norm(np.maximum(0, np.maximum(low - points.max(axis=0), points.min(axis=0) - high)))
-            if box_gap < best[0]:
-                gap = float(tree.query(limb)[0].min())
-                if gap < best[0]:
-                    best = (gap, float(frame), joint)
-    return best
+    """Smallest distance [m] between person and object at whole frames, its frame and joint.
+
+    The nearest boxes are looked into first, and no farther than to where something has been found.
+    """
+    low, high = surface.min(axis=1), surface.max(axis=1)
+    apart: list[tuple[float, int, int]] = []
+    for joint, (limb_low, limb_high) in limbs.boxes.items():
+        between = np.maximum(0, np.maximum(limb_low - high, low - limb_high))
+        apart += [(float(gap), frame, joint) for frame, gap in enumerate(np.linalg.norm(between, axis=1))]
+    best, trees = (np.inf, 0, 0), {}
+    for least, frame, joint in sorted(apart):
+        if least > best[0]:
+            break
+        if frame not in trees:
+            trees[frame] = KDTree(surface[frame])
+        found = trees[frame].query(limbs.at_frames[joint][frame], distance_upper_bound=np.nextafter(best[0], np.inf))
+        best = min(best, (float(found[0].min()), frame, joint))
+    return best[0], float(best[1]), best[2]
 
 
 def _tests(
@@ -209,22 +214,23 @@ def _tests(
     low, high = surface.min(axis=1), surface.max(axis=1)
     for frame in range(frames):
         following = min(frame + 1, frames - 1)
-        swept: dict[int, tuple[Array, Array]] = {}
+        both = [frame, following]
+        object_span = low[both].min(axis=0), high[both].max(axis=0)
+        swept: list[int] = []
         now: dict[int, Array] = {}
-        for joint in limbs.joints:
-            pair = limbs.at_frames[joint][[frame, following]]
-            if _overlap(pair[0].min(axis=0), pair[0].max(axis=0), low[frame], high[frame], reach):
-                now[joint] = pair[0]
-            span = (pair.min(axis=(0, 1)), pair.max(axis=(0, 1)))
-            object_span = (low[[frame, following]].min(axis=0), high[[frame, following]].max(axis=0))
+        for joint, (limb_low, limb_high) in limbs.boxes.items():
+            if _overlap(limb_low[frame], limb_high[frame], low[frame], high[frame], reach):
+                now[joint] = limbs.at_frames[joint][frame]
+            span = limb_low[both].min(axis=0), limb_high[both].max(axis=0)
             if _overlap(*span, *object_span, reach + SWEEP_MARGIN):
-                swept[joint] = (pair[0], pair[1])
+                swept.append(joint)
         if now:
             yield float(frame), now
         if not between_frames or following == frame or not swept:
             continue
         object_path = np.linalg.norm(surface[following] - surface[frame], axis=1).max()
-        limb_path = max(np.linalg.norm(after - before, axis=1).max() for before, after in swept.values())
+        ways = [np.diff(limbs.at_frames[joint][both], axis=0)[0] for joint in swept]
+        limb_path = max(np.linalg.norm(way, axis=1).max() for way in ways)
         tests = int(np.ceil((limb_path + object_path) / distance))
         between = frame + np.arange(1, tests) / max(tests, 1)
         if len(between) == 0:

@@ -66,8 +66,8 @@ def at_rest(
 ) -> Advanced:
     """Nothing happens: the object lies still."""
     stage.advance(len(stops))
-    energy = np.array([rigid_energy(scene, state) for _ in stops])
-    return Advanced(tuple(state for _ in stops), energy, ("rest",) * len(stops))
+    energy = np.tile(rigid_energy(scene, state), (len(stops), 1))
+    return Advanced((state,) * len(stops), energy, ("rest",) * len(stops))
 
 
 def rigid_energy(scene: Scene | World, state: ObjectState) -> tuple[float, float, float]:
