@@ -27,9 +27,13 @@ TAKEN = ("seconds", "memory", "frames_per_second", "path")
 """What a column is called that says what a run took, or where it is."""
 
 
+def joblib(workers: int) -> list[str]:
+    return ["hydra/launcher=joblib", f"hydra.launcher.n_jobs={workers}"]
+
+
 def command(*overrides: str, workers: int = 2) -> list[str]:
-    """A sweep on so many workers."""
-    launcher = ["hydra/launcher=joblib", f"hydra.launcher.n_jobs={workers}"] if workers else []
+    """A sweep on so many workers, or by Hydra's basic launcher."""
+    launcher = joblib(workers) if workers else []
     return [sys.executable, "-m", "hoi.run", "--multirun", *launcher, *RUN, *overrides]
 
 

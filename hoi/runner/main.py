@@ -21,7 +21,7 @@ from hoi.config.compose import one_line, raised_by_hydra, settled
 from hoi.errors import InputError, RunError
 from hoi.runner.arguments import arguments
 from hoi.runner.execute import execute, what_next
-from hoi.runner.sweep import Ended, run_of_sweep
+from hoi.runner.sweep import Ended, Sweep, run_of_sweep
 from hoi.terminal.interrupt import interruptible
 from hoi.terminal.program import lasting_console
 
@@ -41,7 +41,7 @@ def main() -> None:
 
 def _compose_and_execute() -> int:
     """All jobs of the command line; the exit code."""
-    code, this = 0, os.getpid()
+    code, sweep = 0, Sweep()
 
     def job(composed: DictConfig) -> Ended | None:
         nonlocal code
@@ -50,7 +50,7 @@ def _compose_and_execute() -> int:
         settings = HydraConfig.get()
         overrides, composed = list(settings.overrides.task), settled(composed)
         if settings.mode is not None and settings.mode.name == "MULTIRUN":
-            ended = run_of_sweep(composed, overrides, this)
+            ended = run_of_sweep(composed, overrides, sweep)
             if ended.failure and not settings.sweeper._target_.startswith(OUR_SWEEPERS):
                 raise RunError(f"{ended.out}: {ended.failure}")  # nobody else would say so
             return ended

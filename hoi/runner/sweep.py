@@ -5,11 +5,12 @@ line and one record, and no concern of the others.
 import multiprocessing
 import os
 import signal
+import socket
 import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 from hydra.core.utils import JobReturn
@@ -38,12 +39,22 @@ class Ended:
     """Whether its plan was printed, and no more."""
 
 
-def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: int) -> Ended:
-    """A composed config, run in a process beside this one; a failure is recorded and returned, never raised.
+@dataclass(frozen=True)
+class Sweep:
+    """What was started on the command line."""
 
-    Args:
-        sweep: the process that the sweep was started as; its workers on this machine end with it.
-    """
+    process: int = field(default_factory=os.getpid)
+    """Its workers on this machine end with it."""
+    folder: str = field(default_factory=os.getcwd)
+    """Where it was started: the folders of its runs are named from there, on other machines too."""
+
+
+def run_of_sweep(composed: DictConfig, overrides: list[str], sweep: Sweep) -> Ended:
+    """A composed config, run in a process beside this one; a failure is recorded and returned, never raised."""
+    try:
+        os.chdir(sweep.folder)  # a worker of Ray starts elsewhere
+    except OSError as error:
+        return Ended(composed.out, f"{socket.gethostname()} does not see {sweep.folder}: {error.strerror}")
     try:
         if composed.plan_only or is_finished(composed):
             execute(composed, overrides)
@@ -77,12 +88,12 @@ def report(results: Sequence[JobReturn]) -> None:
         print(f"all {len(ended)} runs of the sweep are done")
 
 
-def _in_own_process(composed: DictConfig, overrides: list[str], sweep: int) -> str:
+def _in_own_process(composed: DictConfig, overrides: list[str], sweep: Sweep) -> str:
     """Why it failed; empty when it did not. The process is that of earlier runs of this one, if it is still fit."""
     if multiprocessing.current_process().name.startswith("Loky"):  # a worker of joblib
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the sweep's to handle
-        _leave_without(sweep)
-        _watch(sweep)
+        _leave_without(sweep.process)
+        _watch(sweep.process)
     for worker in list(_WORKERS):
         if not worker.alive or worker.threads != composed.threads:
             _WORKERS.remove(worker)

@@ -19,12 +19,16 @@ from hoi.config import CONF, register
 from hoi.config.validate import to_config
 from hoi.record import read
 from hoi.runner.execute import alone, is_finished
-from hoi.runner.sweep import run_of_sweep
-from tests.sweep_kills import RUN, at_work, command, kill_and_resume, records, start
+from hoi.runner.sweep import Sweep, run_of_sweep
+from tests.sweep_kills import RUN, at_work, command, joblib, kill_and_resume, records, start
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 CELL = "runs/kick_soccer_ball/smoke/no_mpm"
 needs_proc = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="looks for processes in /proc")
+needs_submitit = pytest.mark.skipif(find_spec("submitit") is None, reason="hoi[cluster] is not installed")
+needs_ray = pytest.mark.skipif(
+    find_spec("ray") is None, reason="hydra-ray-launcher is not installed; it is in no extra"
+)
 needs_joblib = pytest.mark.skipif(find_spec("joblib") is None, reason="hoi[cluster] is not installed")
 
 
@@ -114,14 +118,35 @@ def test_what_acts_late_varies_fastest():
     assert [override.get_key_element() for override in given] == ["seed", "scene", "ablation", "stage/refine"]
 
 
+@pytest.fixture(scope="module")
+def ray_cluster():
+    """Of two nodes, which are processes here."""
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster.add_node(num_cpus=1)
+    yield [
+        "--config-dir", str(SWEEPS), "--config-name", "cluster_ray", "scene=kick_soccer_ball",
+        f"hydra.launcher.ray.init.address={cluster.address}",
+    ]  # fmt: skip
+    cluster.shutdown()
+
+
+@pytest.fixture(params=["joblib", pytest.param("submitit", marks=needs_submitit), pytest.param("ray", marks=needs_ray)])
+def launcher(request) -> list[str]:
+    if request.param == "ray":
+        return request.getfixturevalue("ray_cluster")
+    return {"joblib": joblib(1), "submitit": ["hydra/launcher=submitit_local"]}[request.param]
+
+
 @needs_joblib
-def test_a_failed_run_stops_no_other_and_finished_ones_are_kept(swept, tmp_path):
+def test_a_failed_run_stops_no_other_and_finished_ones_are_kept(swept, tmp_path, launcher):
     folder = tmp_path / "again"
     shutil.copytree(swept, folder)
     shutil.rmtree(folder / CELL / "s1")
     before = (folder / CELL / "s0" / "run.mcap").stat().st_mtime_ns
-    done = sweep(folder, "ablation=no_mpm", "seed=-1,0,1", workers=1)
-    assert done.returncode == 3
+    done = sweep(folder, *launcher, "ablation=no_mpm", "seed=-1,0,1")
+    assert done.returncode == 3, done.stderr
     errors = [line for line in done.stderr.splitlines() if line.startswith("hoi:")]
     assert errors == [
         f"hoi: {CELL}/s-1: seed must be 0 or more, got -1",
@@ -145,17 +170,22 @@ def test_a_run_that_is_killed_has_failed_until_it_is_done(composed, tmp_path, mo
     dying.chmod(0o755)
     with monkeypatch.context() as patch:
         patch.setattr(sys, "executable", str(dying))
-        ended = run_of_sweep(config, [], os.getpid())
+        ended = run_of_sweep(config, [], Sweep())
     assert ended.failure == "the process of the run was ended by SIGKILL; the system does so when memory runs out"
     assert read(tmp_path / "run" / "run.failed.mcap").result["outcome"] == ended.failure
     assert not is_finished(config)
-    assert not run_of_sweep(config, [], os.getpid()).failure
+    assert not run_of_sweep(config, [], Sweep()).failure
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["run.mcap"]
     assert is_finished(config)
 
 
+def test_a_machine_that_does_not_see_the_folder_says_so(composed):
+    ended = run_of_sweep(composed(*RUN), [], Sweep(folder="/not/here"))
+    assert ended.failure.endswith("does not see /not/here: No such file or directory")
+
+
 def test_another_config_in_the_folder_is_a_failure_that_leaves_the_record(composed, swept):
-    ended = run_of_sweep(composed(*RUN, "ablation=no_mpm", "seed=7", f"out={swept}/{CELL}/s0"), [], os.getpid())
+    ended = run_of_sweep(composed(*RUN, "ablation=no_mpm", "seed=7", f"out={swept}/{CELL}/s0"), [], Sweep())
     assert "holds a run of another config" in ended.failure
     assert [file.name for file in (swept / CELL / "s0").iterdir()] == ["run.mcap"]
 
@@ -238,3 +268,21 @@ def test_a_worker_that_is_killed_is_said(tmp_path):
     assert "hoi: the launcher stopped: TerminatedWorkerError" in log
     assert "Traceback" not in log
     assert nobody_is_left(tmp_path)
+
+
+@needs_proc
+@needs_ray
+def test_a_worker_of_ray_that_is_killed_is_said_and_its_run_done_again(swept, tmp_path, ray_cluster):
+    overrides = [*ray_cluster, "ablation=no_mpm", "seed=0,1"]
+    process = start(tmp_path, *overrides, workers=0)
+    while process.poll() is None and not list(tmp_path.rglob(".lock")):
+        time.sleep(0.1)
+    for entry in Path("/proc").glob("[0-9]*"):
+        if b"ray::_run_job" in (entry / "cmdline").read_bytes():
+            os.kill(int(entry.name), signal.SIGKILL)
+    assert process.wait(timeout=300) == 3
+    log = (tmp_path / "sweep.log").read_text()
+    assert "hoi: the launcher stopped: " in log and "Traceback" not in log
+    assert nobody_is_left(tmp_path)
+    assert sweep(tmp_path, *overrides).returncode == 0
+    assert records(tmp_path) == records(swept)
