@@ -105,7 +105,7 @@ def known_keys() -> list[str]:
     keys = list(below(Config, ""))
     for (group, _), option in options().items():
         keys += below(option, f"{group.replace('/', '.')}.")
-    groups = [str(path.relative_to(CONF)) for path in CONF.rglob("*") if path.is_dir() and path.name != "hydra"]
+    groups = [str(path.relative_to(CONF)) for path in CONF.rglob("[!.]*/") if "hydra" not in path.parts[-2:]]
     return sorted({*keys, *groups})
 
 

@@ -11,8 +11,10 @@ import os
 import sys
 
 import hydra
+from hydra._internal.hydra import Hydra
 from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
@@ -66,6 +68,7 @@ def _compose_and_execute() -> int:
         sys.argv[1:] = arguments(sys.argv[1:])
         register()
         _share_config_store()
+        Hydra.get_mode = _mode  # pyright: ignore[reportAttributeAccessIssue]
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except RunError as error:
         print(f"hoi: {error}", file=sys.stderr)
@@ -82,6 +85,15 @@ def _compose_and_execute() -> int:
         print(f"hoi: {one_line(error)}", file=sys.stderr)
         code = 2
     return code
+
+
+def _mode(hydra: Hydra, config_name: str | None, overrides: list[str]) -> RunMode | None:
+    """Whether the config asks for a sweep. Hydra's own takes that of a sweep which cannot be composed for that of a run,
+    and only says that its lists are ambiguous."""
+    loaded = hydra.config_loader.load_configuration(
+        config_name, overrides, RunMode.MULTIRUN, from_shell=False, validate_sweep_overrides=False
+    )
+    return loaded.hydra.mode
 
 
 def _share_config_store() -> None:

@@ -15,6 +15,7 @@ from hoi.motion.sentence import limbs_in
 from hoi.runner.arguments import SENTENCE, arguments
 from hoi.terminal.overrides import as_override
 
+SWEEPS = str(Path(__file__).parents[2] / "sweeps")
 SENTENCES = [
     "a person kicks the ball", "a person's kick, hard", "kick: now!", "a = b", "kick & punch", "kick | punch; stop",
     "a (very) hard kick", "a [very] hard kick", "a {very} hard kick", 'a "hard" kick', "a 'hard' kick", "kick\\", "\\'",
@@ -204,6 +205,8 @@ def test_a_console_that_goes_away_is_no_error(command, tmp_path):
         (["~seed"], 2, "seed: no value given"), (["+scene.striking_lmib=a"], 2, "scene.striking_limb"),
         (["scene=kick_socer_ball"], 2, "the nearest is scene=kick_soccer_ball"),
         (["seed=99999999999999999999"], 2, "seed must be at most"), (["scene.fsp=3"], 2, "the nearest is scene.fps"),
+        (["--config-dir", SWEEPS, "--config-name", "ablations", "hydra.launcher.foo=1"], 2, "hydra.launcher.foo: Key"),
+        (["--config-dir", SWEEPS, "--config-name", "ablations", "scene.fsp=0,1"], 2, "the nearest is scene.fps"),
         (["-m", "seed=-1", "hydra/sweeper=basic", "out=here"], 3, "seed must be 0 or more"),
         (["-m", "seed=-1", "out=${now:%Y}/${seed}"], 3, "1 of 1 runs failed"),
     ],

@@ -121,7 +121,7 @@ def test_what_acts_late_varies_fastest():
 @pytest.fixture(scope="module")
 def ray_cluster():
     """Of two nodes, which are processes here."""
-    from ray.cluster_utils import Cluster
+    from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     cluster.add_node(num_cpus=1)
