@@ -88,7 +88,7 @@ def _compose_and_execute() -> int:
 
 
 def _mode(hydra: Hydra, config_name: str | None, overrides: list[str]) -> RunMode | None:
-    """Whether the config asks for a sweep. Hydra's own takes that of a sweep which cannot be composed for that of a run,
+    """Whether the config asks for a sweep. Hydra's own takes a sweep's that cannot be composed for a single run's,
     and only says that its lists are ambiguous."""
     loaded = hydra.config_loader.load_configuration(
         config_name, overrides, RunMode.MULTIRUN, from_shell=False, validate_sweep_overrides=False
