@@ -1,11 +1,13 @@
 """Hydra's basic sweeper, but that one failed run does not hide the others. Hydra looks for plugins in this package."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper, BasicSweeperConf
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn
 
 LATE = ("ablation", "stage", "render")
@@ -27,10 +29,12 @@ class HoiSweeper(BasicSweeper):
         assert self.launcher is not None and self.hydra_context is not None
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
         overrides = parser.parse_overrides([*self._parse_config(), *arguments])
-        overrides.sort(key=lambda override: override.get_key_element().startswith(LATE))
+        overrides.sort(key=_is_late)
         results: list[Sequence[JobReturn]] = []
         count = 0
-        for batch in self.split_arguments(overrides, self.max_batch_size):
+        batches = self.split_arguments(overrides, self.max_batch_size)
+        self._keep_together(sum(map(len, batches)), math.prod(_length(each) for each in overrides if _is_late(each)))
+        for batch in batches:
             self.validate_batch_is_legal(batch)
             try:
                 results.append(self.launcher.launch(batch, initial_job_idx=count))
@@ -42,6 +46,24 @@ class HoiSweeper(BasicSweeper):
             count += len(batch)
         report([result for batch in results for result in batch])
         return results
+
+    def _keep_together(self, runs: int, alike: int) -> None:
+        """Has joblib give so many runs that have a beginning in common to one worker, while there is work for all."""
+        settings = getattr(self.launcher, "joblib", None)
+        if settings is None or settings.get("batch_size") != "auto":
+            return
+        from joblib import effective_n_jobs
+
+        settings["batch_size"] = min(alike, math.ceil(runs / effective_n_jobs(settings["n_jobs"])))
+
+
+def _is_late(override: Override) -> bool:
+    return override.get_key_element().startswith(LATE)
+
+
+def _length(override: Override) -> int:
+    """How many values it lists."""
+    return sum(1 for _ in override.sweep_string_iterator()) if override.is_sweep_override() else 1
 
 
 ConfigStore.instance().store(

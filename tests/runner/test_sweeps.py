@@ -9,6 +9,7 @@ import threading
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hydra import compose, initialize_config_dir
@@ -111,11 +112,26 @@ def test_a_run_after_others_in_one_process_is_that_of_a_single_command(swept, tm
 
 
 def test_what_acts_late_varies_fastest():
-    from hydra_plugins.hoi_sweeper import LATE
+    from hydra_plugins.hoi_sweeper import _is_late, _length
 
-    given = OverridesParser.create().parse_overrides(["ablation=a,b", "stage/refine=c,d", "seed=0,1", "scene=x"])
-    given.sort(key=lambda override: override.get_key_element().startswith(LATE))
+    given = OverridesParser.create().parse_overrides(["ablation=a,b,c", "stage/refine=c,d", "seed=0,1", "scene=x"])
+    given.sort(key=_is_late)
     assert [override.get_key_element() for override in given] == ["seed", "scene", "ablation", "stage/refine"]
+    assert [_length(override) for override in given] == [2, 1, 3, 2]
+
+
+@needs_joblib
+@pytest.mark.parametrize(
+    ("runs", "alike", "asked", "together"),
+    [(12, 6, "auto", 6), (6, 6, "auto", 3), (3, 6, "auto", 2), (20, 1, "auto", 1), (12, 6, 1, 1)],
+)
+def test_runs_with_a_beginning_in_common_go_to_one_worker(runs, alike, asked, together):
+    from hydra_plugins.hoi_sweeper import HoiSweeper
+
+    sweeper = HoiSweeper(max_batch_size=None)
+    sweeper.launcher = SimpleNamespace(joblib={"n_jobs": 2, "batch_size": asked})  # pyright: ignore
+    sweeper._keep_together(runs, alike)
+    assert sweeper.launcher.joblib["batch_size"] == together  # pyright: ignore
 
 
 @pytest.fixture(scope="module")
