@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, ClassVar
 from omegaconf import MISSING
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, LIMBS
+from hoi.data import Check
 from hoi.errors import under
+from hoi.motion.familiarity import sentence_check
 from hoi.motion.files import missing_prior
 from hoi.motion.sentence import limbs_in
 from hoi.stages.contract import Draft, MotionSource, Requirements, option
@@ -125,6 +127,7 @@ class HMSD(MotionSource):
         used = self.init is MotionInit.sample or self.iterations > 0 or in_stage_2
         if used:
             draft.missing += missing_prior(f"{self.key}.checkpoint", self.checkpoint, config.mdm)
+            draft.checks.append(Check("sentence", *sentence_check(config.scene.motion_prompt, self.checkpoint)))
         draft.uses += ["motion"] + ["motion_prior"] * used + ["hmsd"] * in_stage_2
         start = STARTS[self.init] if self.path is None else f"{STARTS[self.init]} {self.path}"
         if self.iterations > 0 or self.init is MotionInit.sample:

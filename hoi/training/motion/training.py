@@ -15,6 +15,7 @@ from hoi.motion.prior import DENOISER_PREFIX, STATISTICS, write_prior
 from hoi.motion.text import MINILM_PACKAGE, MINILM_SHA256, file_sha256, minilm
 from hoi.training import loop
 from hoi.training.motion import deepmimic
+from hoi.training.motion.captions import write_captions
 from hoi.training.motion.dataset import (
     FPS,
     HELD_OUT,
@@ -111,7 +112,7 @@ class Training(loop.Training[MotionDenoiser]):
         torch.set_rng_state(state["dropout_generator"])
 
     def publish(self, facts: dict[str, Any], command: str) -> None:
-        """Write prior.safetensors and prior.json (of the moving average), training.json and curve.png."""
+        """Write prior.safetensors and prior.json (of the moving average), captions, training.json and curve.png."""
         out = self.options.out
         tensors = {DENOISER_PREFIX + name: value for name, value in self.average.state_dict().items()}
         tensors |= dict(zip(STATISTICS, (self.mean, self.std, self.text_mean, self.text_std), strict=True))
@@ -125,6 +126,7 @@ class Training(loop.Training[MotionDenoiser]):
             "rest_joints": [[round(value, 6) for value in row] for row in self.data.rest_joints.tolist()],
         }
         write_prior(out, tensors, description)
+        write_captions(out, self.data, minilm())
         self.report(command, **facts)
         log = self.log()
         with loop.curves(out, 1, (6, 3.5)) as (axes,):
