@@ -1,4 +1,4 @@
-"""A user's own motion as the start of a run: .npz as AMASS has it, or BVH, on our body and in our world."""
+"""A user's own motion as the start of a run: SMPL's, BVH or joints alone, on our body and in our world."""
 
 from pathlib import Path
 
@@ -14,10 +14,11 @@ from hoi.data import Array, Body, Motion
 from hoi.errors import InputError, about
 from hoi.importers.amass import read_amass
 from hoi.importers.bvh import read_bvh
+from hoi.importers.joints import read_joints
 from hoi.importers.retarget import is_mirrored, is_standing, map_joints, named, read_names, retarget
 from hoi.motion.features import towards_plus_y
 
-SUFFIXES = (".npz", ".bvh")
+SUFFIXES = (".npz", ".bvh", ".npy")
 Y_TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 HALF_TURN = np.diag([1.0, -1, -1])
 TO_Z_UP = {
@@ -48,7 +49,7 @@ def read_motion(
     does when the body stands on the ground.
 
     Args:
-        path: .npz (see `hoi.importers.amass`) or .bvh (see `hoi.importers.retarget`).
+        path: .npz (see `hoi.importers.amass`), .bvh (`hoi.importers.retarget`) or .npy (`hoi.importers.joints`).
         start_time: where in the recording the motion begins [s].
         up: the file's up axis, "y", "-y", ...; "auto" takes the one along which the pelvis' own up axis mostly lies.
         rate: frames a second of the file, whatever it says itself; None takes what it says.
@@ -65,6 +66,9 @@ def read_motion(
         local, translation, rate, notes = read_amass(path, body.rest_joints, rate)
     elif path.suffix.lower() == ".bvh":
         local, translation, own, notes = _from_bvh(path, body, names)
+        rate = own if rate is None else rate
+    elif path.suffix.lower() == ".npy":
+        local, translation, own, notes = read_joints(path, body.rest_joints)
         rate = own if rate is None else rate
     else:
         raise InputError(f"{path}: a motion is read from {' or '.join(SUFFIXES)}, not from {path.suffix!r}")

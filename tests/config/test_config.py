@@ -121,7 +121,7 @@ def test_smoke_and_sweeps_make_no_video_unless_asked(composed):
         (["object=from_file"], "object.size: no value given"),
         (["object=from_file", "object.size=1"], "object.path must be the path of a 3DGS file, got None"),
         (["stage/motion=file"], "stage.motion.path"),
-        (["stage.motion.init=file"], "stage.motion.path must be the path of a .npz or .bvh file"),
+        (["stage.motion.init=file"], "stage.motion.path must be the path of a .npz, .bvh or .npy file"),
         (["stage.motion.path=walk.bvh"], "stage.motion.path must be null: stage.motion.init is sample, got walk.bvh"),
         (["stage.motion.start_time=-1"], "stage.motion.start_time must be 0 or more [s], got -1"),
         (["human=avatar"], "human.path must be the path of an avatar's folder or 3DGS PLY file, got None"),

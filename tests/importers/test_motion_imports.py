@@ -189,7 +189,11 @@ def test_files_that_are_no_motion(tmp_path, body):
     (tmp_path / "a.npz").write_bytes(b"nothing")
     np.save(tmp_path / "b.npy", np.zeros(3))
     (tmp_path / "b.npy").rename(tmp_path / "b.npz")
-    for name, message in (("a.npz", "cannot be read"), ("b.npz", "one array"), ("c.fbx", r"from \.npz or \.bvh")):
+    for name, message in (
+        ("a.npz", "cannot be read"),
+        ("b.npz", "one array"),
+        ("c.fbx", r"from \.npz or \.bvh or \.npy"),
+    ):
         with pytest.raises(InputError, match=message):
             read_motion(tmp_path / name, body, FRAMES, FPS)
     path = write_npz(tmp_path / "m.npz", body, made_up(body))

@@ -9,6 +9,7 @@ import torch
 
 from hoi.body.kinematics import joint_positions, rotation_to_6d
 from hoi.errors import InputError
+from hoi.motion.familiarity import read_captions
 from hoi.motion.prior import load_prior
 from hoi.runner import sample
 from hoi.training import loop
@@ -172,6 +173,8 @@ def test_training_learns_resumes_and_publishes(tmp_path, clip_data):
     trainings.train(options(whole, "--data", str(clip_data), "--steps", "100"), "the command")
     log = [json.loads(line) for line in (whole / "log.jsonl").read_text().splitlines()]
     assert [row["step"] for row in log] == [50, 100] and log[1]["loss"] < 0.9 * log[0]["loss"]
+    captions = read_captions(whole)
+    assert captions is not None and set(captions.kinds) == {"", *captions.windows}
     assert (whole / "curve.png").read_bytes()[1:4] == b"PNG"
     report = json.loads((whole / "training.json").read_text())
     assert report["steps"] == 100 and report["command"] == "the command" and list(report["data"]) == ["clips.npz"]

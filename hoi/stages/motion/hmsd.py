@@ -69,7 +69,7 @@ class HMSD(MotionSource):
     init: MotionInit = MISSING
     """Start from a sample of the prior, from the standing pose, or from a motion file."""
     path: str | None = None
-    """The motion file (.npz, .bvh), for init=file."""
+    """The motion file (.npz, .bvh, .npy), for init=file."""
     start_time: float = 0.0
     """Where in the file the motion begins [s]."""
     up: UpAxis = AUTO_UP
@@ -107,7 +107,7 @@ class HMSD(MotionSource):
         require(config.scene.frames >= 3, "scene.frames", config.scene.frames, rule)
         own(self.iterations >= 0, "iterations", self.iterations, "0 or more")
         given, named = self.path is not None, self.init is MotionInit.file
-        rule = f"{'the path of a .npz or .bvh file' if named else 'null'}: {key}.init is {self.init.value}"
+        rule = f"{'the path of a .npz, .bvh or .npy file' if named else 'null'}: {key}.init is {self.init.value}"
         own(given == named, "path", "null" if self.path is None else self.path, rule)
         own(self.fps is None or self.fps > 0, "fps", self.fps, "greater than 0 [1/s], or null")
         own(self.start_time >= 0, "start_time", self.start_time, "0 or more [s]")
@@ -121,7 +121,7 @@ class HMSD(MotionSource):
 
     def plan(self, config: Config, draft: Draft) -> None:
         if self.path is not None and not Path(self.path).is_file():
-            draft.lack(f"{self.key}.path", "motion file", self.path, "give a .npz or .bvh")
+            draft.lack(f"{self.key}.path", "motion file", self.path, "give a .npz, .bvh or .npy")
         coordinate = config.stage.coordinate
         in_stage_2 = coordinate.lambda_hmsd > 0 and coordinate.iterations > 0
         used = self.init is MotionInit.sample or self.iterations > 0 or in_stage_2
