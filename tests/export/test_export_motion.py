@@ -82,7 +82,7 @@ def test_bvh_is_imported_as_a_motion(tmp_path):
     imported, notes = read_motion(tmp_path / "motion.bvh", body, FRAMES, 20.0)
     assert len(imported) == FRAMES and "y up" in notes[0]
     before, after = (joint_frames(body, motion)[1] for motion in (made.state.motion, imported))
-    np.testing.assert_allclose(after - after[:, :1], before - before[:, :1], atol=0.01)
+    np.testing.assert_allclose(after - after[:, :1], before - before[:, :1], atol=NEAR)
 
 
 def test_csv_has_object_and_joints(run, places, tmp_path):
