@@ -130,7 +130,7 @@ def _on_body(path: Path, body: Body, fps: float) -> Motion:
     rotations = roma.rotvec_to_rotmat(torch.from_numpy(poses))
     plain = rest_joints_of(deepmimic.OFFSETS).double()
     world, positions = forward_kinematics(rotations, torch.from_numpy(translation), plain)
-    local, path_of_pelvis = retarget(
+    local, path_of_pelvis, _ = retarget(
         JOINT_NAMES, PARENTS, plain.numpy(), world.numpy(), positions.numpy(), np.asarray(body.rest_joints)
     )
     turns = torch.from_numpy(np.ascontiguousarray(local))

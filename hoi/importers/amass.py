@@ -11,6 +11,7 @@ import torch
 from hoi.body.skeleton import JOINT_COUNT
 from hoi.data import Array
 from hoi.errors import InputError
+from hoi.importers.plausible import FASTEST, SLOWEST, is_possible, unit_of
 from hoi.importers.retarget import hips_from_pelvis, leg_bones
 
 JOINTS_IN_FILES = (22, JOINT_COUNT, 52, 55)
@@ -19,6 +20,8 @@ SMPL_LEG_BONES = 0.777
 """Thigh and shin of the neutral SMPL body [m]."""
 SMPL_HIPS = np.array([0.0, -0.091, -0.006])
 """Middle of its hips from its pelvis joint, in the T-pose [m]."""
+LEGS = (0.2, 2.0)
+"""Thighs and shins of people, in metres."""
 FRAME_RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 POSES = ("poses", "smpl_poses", "full_pose")
 ROOTS, BODIES = ("root_orient", "global_orient"), ("pose_body", "body_pose")
@@ -26,11 +29,6 @@ PATHS = ("trans", "transl", "smpl_trans", "root_trans", "translation")
 SCALING, REST = "smpl_scaling", "rest_joints"
 DEGREES = 7.0
 """No turn is so long [rad]; half of a person's largest ones are longer where degrees are meant."""
-SLOWEST, FASTEST = 1.0, 2000.0
-"""Frame rates of motions [1/s]."""
-RUN = 13.0
-"""No person goes so fast for a second [m/s]."""
-UNITS = {"centimetres": 1e-2, "millimetres": 1e-3}
 
 
 def read_amass(path: Path, rest_joints: Array, fps: float | None = None) -> tuple[Array, Array, float, tuple[str, ...]]:
@@ -68,8 +66,6 @@ def read_amass(path: Path, rest_joints: Array, fps: float | None = None) -> tupl
         trans = trans / float(data[SCALING].reshape(-1)[0])
     if not (np.isfinite(turns).all() and np.isfinite(trans).all()):
         raise InputError(f"{path}: poses or trans hold numbers that are not finite")
-    rate = float(fps) if fps is not None else _rate(path, data, notes)
-    trans = _in_metres(path, trans, rate, notes)
     own = data.get(REST)
     if own is not None and own.shape != (JOINT_COUNT, 3):
         raise InputError(f"{path}: rest_joints has shape {own.shape}, must be ({JOINT_COUNT}, 3)")
@@ -78,6 +74,14 @@ def read_amass(path: Path, rest_joints: Array, fps: float | None = None) -> tupl
     kept = JOINT_COUNT if turns.shape[1] in (JOINT_COUNT, 23) else 22
     kept = min(kept, turns.shape[1])
     local[:, :kept] = turns[:, :kept]
+    rate = float(fps) if fps is not None else _rate(path, data, trans, local, notes)
+    if own is None or LEGS[0] < leg_bones(own) < LEGS[1]:
+        unit, size, why = unit_of(trans, local, rate, rest_joints)
+        if not unit:
+            raise InputError(f"{path}: {why}, which nobody can: its unit or frame rate is wrong")
+        if why:
+            notes.append(f"trans read as {unit}: {why}")
+        trans = trans * size
     legs, hips = (SMPL_LEG_BONES, SMPL_HIPS) if own is None else (leg_bones(own), hips_from_pelvis(own))
     centre = (trans + local[:, 0] @ hips) * (leg_bones(rest_joints) / legs)
     return local, centre - local[:, 0] @ hips_from_pelvis(rest_joints), rate, tuple(notes)
@@ -157,8 +161,8 @@ def _without_batch(values: Array, dimensions: int) -> Array:
     return values[0] if values.ndim == dimensions + 1 and len(values) == 1 else values
 
 
-def _rate(path: Path, data: dict[str, Array], notes: list[str]) -> float:
-    """Frames a second, from the file."""
+def _rate(path: Path, data: dict[str, Array], trans: Array, local: Array, notes: list[str]) -> float:
+    """Frames a second, from the file; of several that differ the one at which somebody can move like that."""
     given = {name: data[name] for name in FRAME_RATES if name in data}
     if not given:
         raise InputError(f"{path} lacks {FRAME_RATES[0]}; say how many frames it has a second, such as fps=60")
@@ -167,7 +171,12 @@ def _rate(path: Path, data: dict[str, Array], notes: list[str]) -> float:
         if value.size != 1 or not 0 < float(value.reshape(-1)[0]) < np.inf:
             raise InputError(f"{path}: {name} is {value.tolist()}, must be greater than 0 [1/s]")
         rates[name] = float(value.reshape(-1)[0])
-    if max(rates.values()) > 1.01 * min(rates.values()):
+    possible = {name: rate for name, rate in rates.items() if is_possible(trans, local, rate)}
+    if max(rates.values()) > 1.01 * min(rates.values()) and len(possible) == 1:
+        others = ", ".join(f"{name} of {rate:g}" for name, rate in rates.items() if name not in possible)
+        notes.append(f"{next(iter(possible))} is its rate: at {others} nobody could move like that")
+        rates = possible
+    elif max(rates.values()) > 1.01 * min(rates.values()):
         said = " but ".join(f"{name} is {rate:g}" for name, rate in rates.items())
         raise InputError(f"{path}: {said}; say which is true, such as fps={max(rates.values()):g}")
     name, rate = next(iter(rates.items()))
@@ -175,22 +184,3 @@ def _rate(path: Path, data: dict[str, Array], notes: list[str]) -> float:
         notes.append(f"{name} of {rate:g} read as the time of a frame: {1 / rate:g} Hz")
         rate = 1 / rate
     return rate
-
-
-def _in_metres(path: Path, trans: Array, rate: float, notes: list[str]) -> Array:
-    """The path, in another unit where nobody could go it in metres.
-
-    Raises:
-        InputError: nobody could in any.
-    """
-    step = min(max(round(rate), 1), len(trans) - 1)
-    if step < 1:
-        return trans
-    speed = float(np.linalg.norm(trans[step:] - trans[:-step], axis=1).max()) * rate / step
-    if speed <= RUN:
-        return trans
-    for unit, factor in UNITS.items():
-        if speed * factor <= RUN:
-            notes.append(f"trans read as {unit}: in metres the person would go at {speed:.0f} m/s")
-            return trans * factor
-    raise InputError(f"{path}: its path goes at {speed:.0f} m/s, which nobody can: its unit or frame rate is wrong")

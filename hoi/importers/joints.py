@@ -19,14 +19,13 @@ from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array
 from hoi.errors import InputError
 from hoi.importers.retarget import hips_from_pelvis, leg_bones
+from hoi.importers.roll import about, bending, shortest_arcs, unit
 
 FEATURES, JOINTS = 263, 22
 KIT_FEATURES = (251, 21)
 FPS = 20.0
 UNSTEADY = 0.25
 """Bones whose length varies by more than this (standard deviation over mean) are none."""
-HINGES = {"hip": (0.0, 0.0, -1.0), "shoulder": (0.0, 0.0, 1.0)}
-"""Which way the bone after the next bends, in the T-pose: shins backwards, forearms forwards."""
 STRAIGHT = 0.01
 """Sine squared of a bend below which it hardly tells how a limb is turned about its own axis."""
 
@@ -111,26 +110,20 @@ def rotations_of(places: Array, rest_joints: Array) -> Array:
         above = world[:, parent] if parent >= 0 else np.broadcast_to(np.eye(3), (len(places), 3, 3))
         children = [child for child in range(JOINTS) if PARENTS[child] == joint]
         if joint < JOINTS and children:
-            ours = _unit(rest[children] - rest[joint])
-            theirs = _unit(places[:, children] - places[:, [joint]], ours) @ above  # in the parent's frame
+            ours = unit(rest[children] - rest[joint])
+            theirs = unit(places[:, children] - places[:, [joint]], ours) @ above  # in the parent's frame
             if len(children) > 1:
                 local[:, joint] = _fit(ours, theirs)
             else:
-                local[:, joint] = _shortest_arcs(ours[0], theirs[:, 0])
+                local[:, joint] = shortest_arcs(ours[0], theirs[:, 0])
         world[:, joint] = above @ local[:, joint]
-        if (bend := HINGES.get(JOINT_NAMES[joint].partition("_")[2])) is not None:
+        if (part := JOINT_NAMES[joint].partition("_")[2]) in ("hip", "shoulder"):
             (child,) = children
             after = PARENTS.index(child)
-            lower = (_unit(places[:, [after]] - places[:, [child]]) @ world[:, joint])[:, 0]
-            local[:, joint] = local[:, joint] @ _hinged(ours[0], np.array(bend), lower)
-            world[:, joint] = above @ local[:, joint]
+            lower = (unit(places[:, [after]] - places[:, [child]]) @ world[:, joint])[:, 0]
+            turn = about(ours[0], np.angle(bending(ours[0], part, lower) + STRAIGHT))
+            local[:, joint], world[:, joint] = local[:, joint] @ turn, world[:, joint] @ turn
     return local
-
-
-def _unit(vectors: Array, otherwise: Array | float = 0.0) -> Array:
-    """Of unit length; `otherwise` where there is none."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(length > 1e-9, vectors / np.maximum(length, 1e-9), otherwise)
 
 
 def _fit(ours: Array, theirs: Array) -> Array:
@@ -139,24 +132,3 @@ def _fit(ours: Array, theirs: Array) -> Array:
     turns = roma.special_procrustes(product)
     assert isinstance(turns, torch.Tensor)
     return turns.numpy()
-
-
-def _shortest_arcs(start: Array, ends: Array) -> Array:
-    """The least rotations (F, 3, 3) that take one unit vector to others (F, 3)."""
-    cosine = ends @ start
-    side = np.cross(start, np.eye(3)[np.abs(start).argmin()])
-    axis = np.where((cosine < -1 + 1e-9)[:, None], np.pi * _unit(side), 0.0)
-    across = np.cross(start, ends)
-    sine = np.linalg.norm(across, axis=-1)
-    turn = np.where((sine > 1e-9)[:, None], _unit(across) * np.arctan2(sine, cosine)[:, None], axis)
-    return roma.rotvec_to_rotmat(torch.from_numpy(turn)).numpy()
-
-
-def _hinged(bone: Array, bend: Array, lower: Array) -> Array:
-    """Turns about a bone (F, 3, 3) after which the bone below, (F, 3) in its frame, bends the way it does."""
-    bend = _unit(bend - (bend @ bone) * bone)
-    aside = np.cross(bone, bend)
-    along, across = lower @ bend, lower @ aside
-    size = np.hypot(along, across)
-    angle = np.arctan2(size * across, size * along + STRAIGHT)
-    return roma.rotvec_to_rotmat(torch.from_numpy(angle[:, None] * bone)).numpy()

@@ -15,6 +15,7 @@ from hoi.errors import InputError, about
 from hoi.importers.amass import read_amass
 from hoi.importers.bvh import read_bvh
 from hoi.importers.joints import read_joints
+from hoi.importers.plausible import doubts, rate_of
 from hoi.importers.retarget import is_mirrored, is_standing, map_joints, named, read_names, retarget
 from hoi.motion.features import towards_plus_y
 
@@ -79,7 +80,8 @@ def read_motion(
     axis = axis.removeprefix("+")
     local[:, 0], translation = TO_Z_UP[axis] @ local[:, 0], translation @ TO_Z_UP[axis].T
     whole = _motion(local, translation, rate)
-    ground = joint_paths(body, whole)[int(start_time * rate) :, :, 2].min() - sole_height(body)
+    joints = joint_paths(body, whole)
+    ground = joints[int(start_time * rate) :, :, 2].min() - sole_height(body)
     whole.translation[:, 2] -= ground
 
     wanted = start_time * rate + np.arange(frames) * (rate / fps)
@@ -88,7 +90,7 @@ def read_motion(
     placed = _from_origin_facing_plus_y(piece, fps)
     seconds = f"{path.name}: {len(whole)} frames at {rate:g} Hz, {axis} up"
     used = f"from {start_time:g} s on" + (f", its last pose held for {held} of {frames} frames" if held else "")
-    return placed, (f"{seconds}; {used}", *notes)
+    return placed, (f"{seconds}; {used}", *notes, *doubts(joints, local, rate))
 
 
 def _from_bvh(path: Path, body: Body, given: Path | None) -> tuple[Array, Array, float, tuple[str, ...]]:
@@ -105,16 +107,18 @@ def _from_bvh(path: Path, body: Body, given: Path | None) -> tuple[Array, Array,
                 rest, positions, rotations = rest @ mirror, positions @ mirror, mirror @ rotations @ mirror
         else:
             notes.append(
-                "its rest pose is no standing person's: joints are where the file has them, but how limbs are turned"
-                " about their own axes is not known, and taken to be unturned on average"
+                "its rest pose is no standing person's: joints are where the file has them, but how bones are turned"
+                " about their own axes is not in it; limbs are turned as they bend, all else as little as may be"
             )
-        local, translation = retarget(names, parents, rest, rotations, positions, np.asarray(body.rest_joints), joints)
+        place = (rotations, positions, np.asarray(body.rest_joints), joints)
+        local, translation, turned = retarget(names, parents, rest, *place)
     if said is None and not named(names):
         taken = ", ".join(f"{names[row]} as {JOINT_NAMES[joint]}" for joint, row in sorted(joints.items()))
         notes.append(f"joints told by the shape of the skeleton: {taken}")
     if unused := [name for row, name in enumerate(names) if row not in joints.values()]:
         notes.append(f"joints not used: {', '.join(unused)}")
-    return local, translation, recording.fps, tuple(notes)
+    rate, said = rate_of(1 / recording.fps)
+    return local, translation, rate, (*notes, *said, *turned)
 
 
 def _up_axis(root: Array, path: Path) -> str:

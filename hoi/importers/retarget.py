@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import roma
-import torch
 
 from hoi.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hoi.data import Array
 from hoi.errors import InputError
+from hoi.importers.roll import BACKWARDS, about, bending, roll, shortest_arcs, unit, untwist
 from hoi.importers.shape import map_by_shape
 
 ALIASES = {
@@ -45,7 +44,9 @@ in where the joint lies, not in the pose."""
 OTHER_BONES = {"collar": "shoulder", "ankle": "foot"}
 STANDING = np.cos(np.radians(60))
 """A bone that is further than this from the T-pose's direction is not where a standing person has it."""
-BACKWARDS = -0.5
+SPLIT = np.cos(np.radians(1))
+"""A joint within a thigh or an upper arm that leads no further off the bone than this only twists it."""
+TOES_BACKWARDS = -0.5
 """Cosine between where the toes point and where the person faces, of a skeleton in left-handed axes."""
 ALIGNED = 0.9
 """Cosine above which the rest pose's body axes are taken to be the file's axes."""
@@ -194,12 +195,12 @@ def retarget(
     positions: Array,
     rest_joints: Array,
     joints: dict[int, int] | None = None,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, tuple[str, ...]]:
     """The motion of another skeleton on ours, in the other's axes.
 
     Its path is scaled by the length of the legs, whatever its unit. Where its rest pose is no standing person's (some
-    skeletons lay every bone along one axis), how a limb is turned about its own axis is not known: it is taken to be
-    unturned on average.
+    skeletons lay every bone along one axis), how a limb is turned about its own axis is told by how its knee or elbow
+    bends (`hoi.importers.roll`); where that does not tell it is taken to be unturned on average.
 
     Args:
         names: of J joints.
@@ -211,7 +212,7 @@ def retarget(
         joints: of `map_joints`; None finds them.
 
     Returns:
-        Local rotations (F, 24, 3, 3) and the path of our pelvis joint [m], (F, 3).
+        Local rotations (F, 24, 3, 3), the path of our pelvis joint [m], (F, 3), and what was done about such turns.
 
     Raises:
         InputError: as `map_joints`, or the skeleton has no extent.
@@ -226,7 +227,16 @@ def retarget(
 
     def directions(joint: int, child: int) -> tuple[Array, Array]:
         """Of the bone in the T-pose and in the other's rest pose, both in SMPL's rest frame."""
-        return _unit(ours[child] - ours[joint]), _unit(body.T @ (theirs[child] - theirs[joint]))
+        return unit(ours[child] - ours[joint]), unit(body.T @ (theirs[child] - theirs[joint]))
+
+    def whole_turn(joint: int, child: int) -> Array:
+        """World rotations of a bone, of the last of its joints where one bends and others twist."""
+        last = parents[joints[child]]
+        turn = rotations[:, last]
+        rest_bone = unit(theirs[child] - theirs[joint])
+        bone = unit(positions[:, joints[child]] - positions[:, joints[joint]])
+        along = ((turn @ rest_bone) * bone).sum(-1).min() > SPLIT
+        return turn if along else rotations[:, joints[joint]]
 
     bones = {
         JOINT_NAMES.index(f"{side}_{part}"): JOINT_NAMES.index(f"{side}_{end}")
@@ -239,6 +249,10 @@ def retarget(
     world = np.empty((len(rotations), JOINT_COUNT, 3, 3))
     local = np.empty_like(world)
     corrections: dict[int, Array] = {}
+    notes: list[str] = []
+    unknown: list[str] = []
+    backwards: list[int] = []
+    told = False
     for joint, parent in enumerate(PARENTS):
         name = JOINT_NAMES[joint].partition("_")[2]
         toes = name == "foot" and not standing  # where their rest lies is not known
@@ -247,25 +261,45 @@ def retarget(
             world[:, joint] = world[:, parent]
             continue
         turn = rotations[:, joints[joint]]
+        if name in ("hip", "shoulder") and bones[joint] in joints:
+            turn = whole_turn(joint, bones[joint])
         correction = corrections.get(parent, body) if name in ("wrist", "hand", "foot") else body
         child = bones.get(joint, -1)
         if child in joints:
             tpose, rest = directions(joint, child)
             odd = not standing and tpose @ rest < STANDING
             if odd or name in LIMB_BONES:
-                correction = body @ _shortest_arc(tpose, rest)
+                correction = body @ shortest_arcs(tpose, rest)
             elif name == "ankle":  # at rest the foot stands on the ground, or is spread with the leg
                 leans = (body, corrections[parent])
                 correction = min(leans, key=lambda axes: abs((axes.T @ body @ rest - tpose)[0]))
-            if odd:
-                correction = correction @ _untwist(world[:, parent].mT @ turn @ correction, tpose)
+            raised = name in ("shoulder", "elbow") and tpose @ rest < STANDING and rest[1] > -STANDING
+            bends = None
+            if name in LIMB_BONES:
+                other = child if name in ("hip", "shoulder") else parent
+                bone = unit(positions[:, joints[bones[other]]] - positions[:, joints[other]])
+                bends = roll(bending(tpose, name, (bone[:, None] @ turn @ correction)[:, 0]))
+            if odd or raised:
+                told = told or (raised and bends is not None)
+                if bends is None:
+                    unknown.append(JOINT_NAMES[joint])
+                    bends = untwist(world[:, parent].mT @ turn @ correction, tpose) if odd else 0.0
+                correction = correction @ about(tpose, bends)
+            elif name == "hip" and bends is not None and abs(bends) > BACKWARDS:
+                backwards.append(joint)
         corrections[joint] = correction
         world[:, joint] = turn @ correction
         local[:, joint] = world[:, joint] if parent < 0 else world[:, parent].mT @ world[:, joint]
 
+    if len(backwards) == 2:
+        notes.append("both knees bend backwards: the file may be mirrored, or its legs taken for each other's")
+    if told:
+        notes.append("its arms are raised at rest: how they are turned about themselves is told by how the elbows bend")
+    if unknown:
+        notes.append(f"turned about themselves as little as may be, where bends do not tell: {', '.join(unknown)}")
     hips = [JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("right_hip")]
     centre = positions[:, [joints[hip] for hip in hips]].mean(axis=1) * (lengths[1] / lengths[0])
-    return local, centre - world[:, 0] @ hips_from_pelvis(ours)
+    return local, centre - world[:, 0] @ hips_from_pelvis(ours), tuple(notes)
 
 
 def is_standing(joints: dict[int, int], rest_positions: Array, rest_joints: Array) -> bool:
@@ -275,8 +309,8 @@ def is_standing(joints: dict[int, int], rest_positions: Array, rest_joints: Arra
     for name, child in (("hip", "knee"), ("knee", "ankle")):
         for side in ("left", "right"):
             first, second = (JOINT_NAMES.index(f"{side}_{part}") for part in (name, child))
-            bone = _unit(np.asarray(rest_joints[second] - rest_joints[first], np.float64))
-            if bone @ _unit(body.T @ (theirs[second] - theirs[first])) <= STANDING:
+            bone = unit(np.asarray(rest_joints[second] - rest_joints[first], np.float64))
+            if bone @ unit(body.T @ (theirs[second] - theirs[first])) <= STANDING:
                 return False
     return True
 
@@ -292,7 +326,7 @@ def is_mirrored(joints: dict[int, int], rest_positions: Array) -> bool:
     ]
     if not toes or not np.any(toes):
         return False
-    return bool(_unit(np.sum(toes, axis=0)) @ body[:, 2] < BACKWARDS)
+    return bool(unit(np.sum(toes, axis=0)) @ body[:, 2] < TOES_BACKWARDS)
 
 
 def hips_from_pelvis(rest_joints: Array) -> Array:
@@ -318,34 +352,10 @@ def _body_axes(rest: dict[int, Array]) -> Array:
     def middle(part: str) -> Array:
         return (rest[JOINT_NAMES.index(f"left_{part}")] + rest[JOINT_NAMES.index(f"right_{part}")]) / 2
 
-    left = _unit(rest[JOINT_NAMES.index("left_hip")] - rest[JOINT_NAMES.index("right_hip")])
+    left = unit(rest[JOINT_NAMES.index("left_hip")] - rest[JOINT_NAMES.index("right_hip")])
     up = middle("shoulder") - middle("hip")
-    up = _unit(up - (up @ left) * left)
+    up = unit(up - (up @ left) * left)
     axes = np.stack([left, up, np.cross(left, up)], axis=1)
     if not np.isfinite(axes).all():
         raise InputError("the hips of the skeleton are in one place, or its shoulders are between them")
     return np.rint(axes) if (np.abs(axes).max(axis=0) > ALIGNED).all() else axes
-
-
-def _unit(vector: Array) -> Array:
-    with np.errstate(invalid="ignore"):
-        return vector / np.linalg.norm(vector)
-
-
-def _shortest_arc(start: Array, end: Array) -> Array:
-    """The least rotation that takes one unit vector to another; half a turn about any axis where they are opposite."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1 + 1e-9:
-        side = np.cross(start, np.eye(3)[np.abs(start).argmin()])
-        return 2 * np.outer(_unit(side), _unit(side)) - np.eye(3)
-    across = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + across + across @ across / (1 + cosine)
-
-
-def _untwist(local: Array, axis: Array) -> Array:
-    """The turn about `axis` after which rotations (F, 3, 3) have no twist about it on average (swing-twist)."""
-    xyzw = roma.rotmat_to_unitquat(torch.from_numpy(np.ascontiguousarray(local))).numpy()
-    half = np.stack([xyzw[:, 3], xyzw[:, :3] @ axis])  # cosine and sine of half the twist, shrunk by the swing's
-    cosine, sine = (half[0] ** 2 - half[1] ** 2).sum(), (2 * half[0] * half[1]).sum()
-    angle = -np.arctan2(sine, cosine)
-    return roma.rotvec_to_rotmat(torch.from_numpy(angle * axis)).numpy()

@@ -17,6 +17,8 @@ ALIKE = 0.1
 """Bones of two sides differ by less than this [of their length]."""
 LONG = 0.6
 """Bones of an upper arm or thigh are at least so long [of the longest of their limb]."""
+PART, IN_LINE = 0.3, np.cos(np.radians(12))
+"""A bone at least so long [of the next], and in line with it, is the upper part of a thigh."""
 BENT = np.cos(np.radians(35))
 """A foot turns away from the shin by more than this."""
 SIDES = {
@@ -69,7 +71,7 @@ def map_by_shape(names: Sequence[str], parents: Sequence[int], rest: Array) -> d
     if not found:
         raise InputError("its tree has no two legs and, above them, two arms whose bones are alike")
     _, legs, arms, chest = max(found, key=lambda each: each[0])
-    limbs = [_leg(line, rest) for line in legs], [_arm(line, rest) for line in arms]
+    limbs = [_leg(line, rest) for line in legs], [_arm(line, rest, children) for line in arms]
     up = rest[arms[0][0]] + rest[arms[1][0]] - rest[legs[0][0]] - rest[legs[1][0]]
     toes = [rest[leg["foot"]] - rest[leg["ankle"]] for leg in limbs[0] if "foot" in leg]
     forward = np.sum(toes, axis=0) if toes else np.zeros(3)
@@ -85,11 +87,17 @@ def map_by_shape(names: Sequence[str], parents: Sequence[int], rest: Array) -> d
     return joints
 
 
+def _straight(first: Array, second: Array) -> bool:
+    return bool(first @ second > IN_LINE * np.linalg.norm(first) * np.linalg.norm(second))
+
+
 def _leg(line: list[int], rest: Array) -> dict[str, int]:
     """Hip, knee, ankle and, where there is one, foot."""
     bones = np.diff(rest[line], axis=0)
     lengths = np.linalg.norm(bones, axis=1)
     hip = int(np.argmax(lengths >= LONG * lengths.max()))
+    while hip and lengths[hip - 1] > PART * lengths[hip] and _straight(bones[hip - 1], bones[hip]):
+        hip -= 1  # of a thigh that is split
     knee = hip + 1
     ankle = knee + 1
     if ankle >= len(line):
@@ -105,14 +113,25 @@ def _leg(line: list[int], rest: Array) -> dict[str, int]:
     return leg | ({"foot": line[ankle + 1]} if ankle + 1 < len(line) else {})
 
 
-def _arm(line: list[int], rest: Array) -> dict[str, int]:
-    """Shoulder, elbow and wrist, and where there is one the hand."""
+def _arm(line: list[int], rest: Array, children: Sequence[Sequence[int]]) -> dict[str, int]:
+    """Shoulder, elbow and wrist, and where there is one the hand.
+
+    Where fingers tell the wrist, bones may be split: upper arm and forearm are as long as each other.
+    """
     lengths = np.linalg.norm(np.diff(rest[line], axis=0), axis=1)
     shoulder = int(np.argmax(lengths >= LONG * lengths.max()))
-    if shoulder + 2 >= len(line):
+    elbow, wrist = shoulder + 1, shoulder + 2
+    fingers = max(range(2, len(line)), key=lambda at: (len(children[line[at]]), at))
+    if len(children[line[fingers]]) > 1:
+        wrist = fingers
+        shoulder, elbow = min(
+            combinations(range(wrist), 2),
+            key=lambda pair: abs(np.log(lengths[pair[0] : pair[1]].sum() / lengths[pair[1] : wrist].sum())),
+        )
+    if wrist >= len(line):
         raise InputError("an arm has no wrist")
-    arm = {"shoulder": line[shoulder], "elbow": line[shoulder + 1], "wrist": line[shoulder + 2]}
-    return arm | ({"hand": line[shoulder + 3]} if shoulder + 3 < len(line) else {})
+    arm = {"shoulder": line[shoulder], "elbow": line[elbow], "wrist": line[wrist]}
+    return arm | ({"hand": line[wrist + 1]} if wrist + 1 < len(line) else {})
 
 
 def _first_is_left(
