@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from hoi import __version__
-from hoi.terminal.program import lasting_console
+from hoi.terminal.program import arrived, lasting_console
 
 
 @dataclass(frozen=True)
@@ -119,10 +119,10 @@ def main() -> None:
     """Entry point of `hoi`. Exit codes are the command's own; 2 for a command that is not there."""
     lasting_console()
     first, *rest = sys.argv[1:] or ["--help"]
-    if first in ("-h", "--help", "help"):
-        print(overview())
-    elif first in ("-V", "--version"):
-        print(f"hoi {__version__}")
+    if first in ("-h", "--help", "help", "-V", "--version"):
+        print(f"hoi {__version__}" if first in ("-V", "--version") else overview())
+        if code := arrived():
+            sys.exit(code)
     elif first in COMPLETION:
         _complete([first, *rest])
     elif first == "run" and rest[:1] and rest[0] in COMPLETION:

@@ -24,8 +24,7 @@ from hoi.errors import InputError, RunError
 from hoi.runner.arguments import arguments
 from hoi.runner.execute import execute, what_next
 from hoi.runner.sweep import Ended, Sweep, run_of_sweep
-from hoi.terminal.interrupt import interruptible
-from hoi.terminal.program import lasting_console
+from hoi.terminal.program import program
 
 OUR_SWEEPERS = "hydra_plugins.hoi_"
 """They report what failed; others know nothing of it."""
@@ -36,9 +35,7 @@ def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - what starts this may be any
         sys.exit(f"hoi needs Python 3.11 or newer, this is {sys.version.split()[0]}")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors come to us instead of being printed with a traceback
-    lasting_console()
-    with interruptible():
-        sys.exit(_compose_and_execute())
+    program(_compose_and_execute)
 
 
 def _compose_and_execute() -> int:
@@ -77,7 +74,8 @@ def _compose_and_execute() -> int:
         print(f"hoi: {one_line(error)}", file=sys.stderr)
         code = 2
     except OSError as error:
-        print(f"hoi: {error.filename}: {error.strerror}", file=sys.stderr)
+        where = error.filename or "the folder that this was started in"  # it may be gone
+        print(f"hoi: {where}: {error.strerror}", file=sys.stderr)
         code = 2
     except Exception as error:
         if not raised_by_hydra(error):

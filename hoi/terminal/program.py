@@ -55,13 +55,24 @@ def lasting_console() -> None:
             setattr(sys, f"__{name}__", console)  # or libraries take it for a notebook's
 
 
+def arrived(code: int | None = 0) -> int:
+    """An exit code, or 3 and a line where stdout could not be written to."""
+    sys.stdout.flush()
+    if (lost := getattr(sys.stdout, "lost", None)) is None:
+        return code or 0
+    print(f"hoi: stdout cannot be written to: {lost.strerror}", file=sys.stderr)
+    return code or 3
+
+
 def program(main: Callable[[], int | None]) -> NoReturn:
     """Ends the process with what `main` returns; with 130 after Ctrl-C, with 3 where stdout could not be written to."""
     lasting_console()
     with interruptible():
-        code = main()
-        sys.stdout.flush()
-        if (lost := getattr(sys.stdout, "lost", None)) is not None:
-            print(f"hoi: stdout cannot be written to: {lost.strerror}", file=sys.stderr)
-            code = code or 3
+        try:
+            code = main()
+        except SystemExit as ended:
+            if not isinstance(ended.code, int | None):
+                raise
+            code = ended.code
+        code = arrived(code)
     sys.exit(code)

@@ -1,14 +1,12 @@
-"""Any sentence, path and order of words after `hoi run`; and the machines that it is typed on."""
+"""Any sentence, path and order of words after `hoi run`."""
 
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from hoi.caches import caches, user_caches
 from hoi.config.compose import config_of
 from hoi.errors import InputError
 from hoi.motion.sentence import limbs_in
@@ -120,64 +118,7 @@ def test_the_sentence_names_the_limb_of_the_scene():
         config_of(f"{SENTENCE}=punches with the left hand and kicks with the right foot")
 
 
-# --- machines ---------------------------------------------------------------------------------------------------------
-
-
-def test_caches_are_where_they_can_be_written_to(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
-    assert user_caches() == tmp_path / "new"
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
-    assert user_caches() is None
-    caches.cache_clear()
-    folder = caches()
-    assert folder is not None and folder.is_dir()
-    caches.cache_clear()
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("nobody knows")))
-    assert user_caches() is None
-
-
-ENVIRONMENTS = {
-    "no home": {"HOME": None}, "home that is a file": {"HOME": "{file}"}, "home in /proc": {"HOME": "/proc/nope"},
-    "relative home": {"HOME": "there"}, "unicode home": {"HOME": "{folder}/ä ö"},
-    "no cache": {"XDG_CACHE_HOME": "/proc/x"},
-    "nothing": dict.fromkeys(("HOME", "LANG", "LC_ALL", "TERM", "USER", "XDG_CACHE_HOME"), None),
-    "C": {"LC_ALL": "C"}, "POSIX without UTF-8": {"LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
-    "another locale": {"LC_ALL": "de_DE.UTF-8"}, "a locale that is not there": {"LC_ALL": "xx_XX"},
-    "latin console": {"PYTHONIOENCODING": "latin-1"}, "ASCII console": {"PYTHONIOENCODING": "ascii"},
-    "dumb terminal": {"TERM": "dumb"}, "narrow": {"COLUMNS": "10"}, "odd path": {"PATH": "/nowhere"},
-    "empty path": {"PATH": ""},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_it_runs_in_any_environment(name, tmp_path):
-    """The compiler starts, the plan is printed, nothing aborts."""
-    (tmp_path / "file").write_text("")
-    environment = dict(os.environ)
-    for key, value in ENVIRONMENTS[name].items():
-        environment.pop(key, None)
-        if value is not None:
-            environment[key] = value.format(file=tmp_path / "file", folder=tmp_path)
-    code = """
-import sys
-from hoi import compute
-compute.start_compiler("float32", 1, "cpu")
-sys.argv = ["hoi.run", *sys.argv[1:]]
-from hoi.run import main
-main()
-"""
-    folder = tmp_path / "ä (b), c"
-    folder.mkdir()
-    done = subprocess.run(
-        [sys.executable, "-c", code, "a person kicks, l'été 踢", "plan_only=true"],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-    )
-    assert done.returncode == 0, done.stderr.decode(errors="replace")
-    assert b"variant full" in done.stdout and b"Traceback" not in done.stderr and not list(folder.iterdir())
+# --- consoles ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
