@@ -49,6 +49,9 @@ def under(key: str, *fields: str) -> Iterator[None]:
         yield
     except InputError as error:
         line = str(error)
+        if fields:
+            line = re.sub(rf"(such as )(?=({'|'.join(fields)})=)", rf"\1{key}.", line)
+            error.args = (line,)
         if not error.has_subject and (not fields or re.match(rf"({'|'.join(fields)})[ :=,]", line)):
             error.args = (f"{key}." + PROPOSED.sub(rf"\1{key}.", line),)
         raise

@@ -53,6 +53,7 @@ def test_fields_tell_what_is_the_keys_own() -> None:
         ("start_time must be 0", "stage.motion.start_time must be 0"),
         ("up/walk.npz: no such file", "up/walk.npz: no such file"),
         ("walk.npz lacks trans", "walk.npz lacks trans"),
+        ("walk.npz: two; such as up=y", "walk.npz: two; such as stage.motion.up=y"),
     ):
         with pytest.raises(InputError) as caught, under("stage.motion", "up", "start_time"):
             raise InputError(line)

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from hoi.body.kinematics import joint_positions
+from hoi.body.skeleton import LIMBS
 from hoi.data import Target
 from hoi.gaussians import fibonacci_sphere
-from hoi.method.attraction import attraction_loss, choose_target, strike_offset, window
+from hoi.method.attraction import attraction_loss, choose_target, strike_offset, striking_limb, window
 
 
 def test_target_is_the_busiest_joint_at_its_fastest():
@@ -17,6 +18,21 @@ def test_target_is_the_busiest_joint_at_its_fastest():
     joints[:, 11, 1] = 2 / (1 + np.exp(-(time - 25.5) / 1.5))  # ... the foot that kicks between frames 25 and 26
     assert choose_target(joints) == Target(11, 25, "velocity profile")
     assert choose_target(joints, candidates=(4, 7, 10)).joint == 7
+
+
+@pytest.mark.parametrize(
+    ("moved", "named", "limb"),
+    [
+        ("left_foot", [], "left_foot"), ("left_foot", ["right_foot"], "left_foot"), ("right_hand", [], "right_hand"),
+        ("left_hand", ["hands"], "left_hand"), ("left_hand", ["right_foot"], "left_hand"),
+    ],
+)  # fmt: skip
+def test_the_limb_that_moves_in_a_file_strikes(moved, named, limb):
+    """Whatever side the sentence says, and the other limb where it is far faster."""
+    joints = np.zeros((40, 24, 3))
+    for each, reach in {"right_foot": 0.3, "left_foot": 0.3, moved: 1.0}.items():
+        joints[:, list(LIMBS[each]), 1] = reach / (1 + np.exp(-(np.arange(40) - 20)[:, None] / 1.5))
+    assert striking_limb(joints, named) == limb
 
 
 def test_window_is_a_truncated_gaussian():

@@ -193,7 +193,7 @@ class HMSD(MotionSource):
             return stand_motion(scene.body, scene.frames, scene.fps)
         from hoi.importers.motions import read_motion
 
-        with under(self.key, "start_time", "up", "names"):
+        with under(self.key, "start_time", "up", "names", "fps"):
             place = (scene.body, scene.frames, scene.fps)
             names = None if self.names is None else Path(self.names)
             motion, notes = read_motion(Path(self.path), *place, self.start_time, self.up, self.fps, names)
