@@ -1,6 +1,7 @@
 """Any sentence, path and order of words after `hoi run`."""
 
 import os
+import shlex
 import subprocess
 import sys
 
@@ -9,7 +10,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from hoi.config.compose import config_of
 from hoi.errors import InputError
+from hoi.motion.familiarity import EMBEDDED, read_captions
 from hoi.motion.sentence import limbs_in
+from hoi.motion.text import minilm
 from hoi.runner.arguments import SENTENCE, arguments
 from hoi.terminal.overrides import as_override
 
@@ -50,6 +53,23 @@ def test_a_sentence_means_itself(sentence):
     for typed in both:
         read = sentence_of(arguments([*typed, "seed=1"]))
         assert read.replace("\\${", "${").strip() == expected.strip()
+
+
+def test_sentences_are_typed_in_a_shell(tmp_path):
+    """Every ninth, as a shell hands it on; the plan says how far it is from what the prior knows."""
+    typed = [" ".join(sentence.splitlines()) for sentence in SENTENCES[::9]]
+    captions = read_captions(EMBEDDED)
+    assert captions is not None
+    cache = tmp_path / "cache" / "hoi" / "text"  # filled by one process: the encoder takes seconds to load
+    minilm(cache).embed(list(dict.fromkeys(filter(None, [*typed, *map(captions.familiar_words, typed)]))))
+    limbs = "scene.striking_limb=null scene.expected_limb=any plan_only=true"
+    command = f"{shlex.quote(sys.executable)} -m hoi run"
+    words = [f"{SENTENCE}={sentence}" if "=" in sentence else sentence for sentence in SENTENCES[::9]]
+    script = "\n".join(f"{command} {shlex.quote(word)} {limbs} || echo FAILED $?" for word in words)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.stdout.count("variant full") == len(words) == done.stdout.count("CHECK  sentence"), done.stdout
+    assert "FAILED" not in done.stdout and not done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("sentence", ["a person's kick, hard: ${x} = & 踢球 🙂", "\\' 100% [left] {right}", "null"])
