@@ -139,13 +139,14 @@ def _read(path: Path) -> Captions | None:
     return Captions(tuple(sentences), tuple(kinds), windows, embeddings)
 
 
-def sentence_check(sentence: str, checkpoint: str | None) -> tuple[str, str]:
-    """Value and detail of the plan's line about the sentence."""
+def sentence_check(sentence: str, checkpoint: str | None) -> tuple[str, str] | None:
+    """Value and detail of the plan's line about the sentence; None for a strike in the words of the training."""
     try:
         found = familiarity(sentence, checkpoint)
     except InputError as error:
         return "not measured", str(error)
     if found is not None:
-        return found.value, str(found)
+        exact = found.distance == 0 and STRIKES.match(found.kind) is not None
+        return None if exact else (found.value, str(found))
     why = "how far the sentence is from the prior's training is not known: the captions of that are not with it"
     return "not measured", why if sentence.isascii() else f"{why}; CLIP, the published one's encoder, knows English"

@@ -40,7 +40,7 @@ def main() -> None:
 
 def _compose_and_execute() -> int:
     """All jobs of the command line; the exit code."""
-    code, sweep = 0, Sweep()
+    code = 0
 
     def job(composed: DictConfig) -> Ended | None:
         nonlocal code
@@ -62,6 +62,7 @@ def _compose_and_execute() -> int:
         return None
 
     try:
+        sweep = Sweep()
         sys.argv[1:] = arguments(sys.argv[1:])
         register()
         _share_config_store()

@@ -129,8 +129,8 @@ def sample(options: argparse.Namespace) -> None:
         raise InputError(f"prompt: {options.prompt!r} holds bytes that are no text in UTF-8") from None
     if options.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device found")
-    value, said = sentence_check(options.prompt, None if options.prior is None else str(options.prior))
-    print(f"sentence: {value} {said}", file=sys.stderr)
+    if (said := sentence_check(options.prompt, None if options.prior is None else str(options.prior))) is not None:
+        print(f"sentence: {' '.join(said)}", flush=True)
     given = (options.prompt, options.person, options.seed, options.frames, options.prior, options.guidance)
     try:
         motion, drawing = drawn(*given, options.device, options.clip)

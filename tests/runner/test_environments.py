@@ -158,10 +158,11 @@ def test_it_runs_or_says_why(case, shared, tmp_path):
 
 
 def test_ctrl_c_in_a_sample_leaves_nothing(tmp_path):
-    command = [sys.executable, "-m", "hoi", "sample", "a person kicks", "--frames", "4000", "-o", "m.npz"]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as sample:
-        assert sample.stderr is not None
-        assert sample.stderr.readline().startswith("sentence:")  # all is imported
+    command = [sys.executable, "-m", "hoi", "sample", "a person kicks the ball", "--frames", "4000", "-o", "m.npz"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=tmp_path, text=True, **pipes) as sample:
+        assert sample.stdout is not None and sample.stderr is not None
+        assert sample.stdout.readline().startswith("sentence:")  # all is imported
         time.sleep(1.0)
         sample.send_signal(signal.SIGINT)
         said = sample.stderr.read()

@@ -127,7 +127,8 @@ class HMSD(MotionSource):
         used = self.init is MotionInit.sample or self.iterations > 0 or in_stage_2
         if used:
             draft.missing += missing_prior(f"{self.key}.checkpoint", self.checkpoint, config.mdm)
-            draft.checks.append(Check("sentence", *sentence_check(config.scene.motion_prompt, self.checkpoint)))
+            if (said := sentence_check(config.scene.motion_prompt, self.checkpoint)) is not None:
+                draft.checks.append(Check("sentence", *said))
         draft.uses += ["motion"] + ["motion_prior"] * used + ["hmsd"] * in_stage_2
         start = STARTS[self.init] if self.path is None else f"{STARTS[self.init]} {self.path}"
         if self.iterations > 0 or self.init is MotionInit.sample:
