@@ -22,7 +22,7 @@ Sums over particles and steps are float64 in both precisions, as is what belongs
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
 from hoi.compute import ti
-from hoi.gradient.laws import backwards, played_backwards
+from hoi.gradient.laws import BACKWARDS, played_backwards
 from hoi.mpm.boundary import COULOMB, STICK, after_contact, height_above, nearest_plane
 from hoi.mpm.kernels import (
     columns,
@@ -33,7 +33,6 @@ from hoi.mpm.kernels import (
     parameters_of,
     played,
     scatter,
-    stress_columns,
     update_node,
     weights,
     zero,
@@ -317,10 +316,11 @@ def scatter_backwards(p, at, count, near, damped: ti.template(), size: ti.templa
     j = f.determinant()
     row = region[ti.min(p, region.shape[0] - 1)]
     numbers = parameters_of(materials, row)
-    t0, t1, t2 = zero(), zero(), zero()
+    tau, half = ti.Matrix.zero(float, 3, 3), ti.Matrix.zero(float, 3, 3)
     for i in ti.static(range(len(models))):
         if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
-            t0, t1, t2 = stress_columns(models[i], f0, f1, f2, j, c0, c1, c2, numbers, 0.0, tolerance)
+            tau, half = ti.static(BACKWARDS[models[i]]).stress(f, j, numbers, tolerance)
+    t0, t1, t2 = columns(tau)
     s = 1.0
     if ti.static(damped):
         s, _ = played(f0, f1, f2, j, numbers, materials, row, kept_play[q])
@@ -393,7 +393,7 @@ def scatter_backwards(p, at, count, near, damped: ti.template(), size: ti.templa
     back, mu, lam, least, steepness = ti.Matrix.zero(float, 3, 3), 0.0, 0.0, 0.0, 0.0
     for i in ti.static(range(len(models))):
         if ti.static(len(models) == 1) or materials[3 * row + 2][1] == i:
-            back, mu, lam = ti.static(backwards(models[i]))(s * t, f, j, numbers, tolerance)
+            back, mu, lam = ti.static(BACKWARDS[models[i]]).backwards(s * t, f, j, half, numbers)
     if ti.static(damped):
         if materials[3 * row + 2][3] > 0.0:
             given = force * (t0.dot(e0) + t1.dot(e1) + t2.dot(e2))

@@ -14,9 +14,8 @@ exact where they coincide.
 # Kernel annotations are values, not types, and vectors can be sliced.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
-import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from hoi.compute import ti
 from hoi.mpm.damping import LEAST_ENERGY
@@ -45,17 +44,28 @@ def cofactor(f, j):
 
 
 @ti.func
-def neo_hookean(t, f, j, p, tolerance):
-    s, trace = symmetric(t), t.trace()
-    back = 2.0 * p[MU] * (s @ f) + p[LAM] * trace / j * cofactor(f, j)
-    return back, double_dot(s, f @ f.transpose() - identity()), ti.log(j) * trace
+def neo_hookean(f, j, p, tolerance):
+    b = f @ f.transpose()
+    return p[MU] * (b - identity()) + p[LAM] * ti.log(j) * identity(), b
 
 
 @ti.func
-def fixed_corotated(t, f, j, p, tolerance):
+def neo_hookean_backwards(t, f, j, b, p):
     s, trace = symmetric(t), t.trace()
+    back = 2.0 * p[MU] * (s @ f) + p[LAM] * trace / j * cofactor(f, j)
+    return back, double_dot(s, b - identity()), ti.log(j) * trace
+
+
+@ti.func
+def fixed_corotated(f, j, p, tolerance):
     b = f @ f.transpose()
     v = left_stretch(b, j, tolerance)
+    return 2.0 * p[MU] * (b - v) + p[LAM] * j * (j - 1.0) * identity(), v
+
+
+@ti.func
+def fixed_corotated_backwards(t, f, j, v, p):
+    s, trace = symmetric(t), t.trace()
     rotation = v.inverse() @ f
     turn = v @ s - s @ v
     axial = ti.Vector([turn[2, 1], turn[0, 2], turn[1, 0]])
@@ -63,16 +73,23 @@ def fixed_corotated(t, f, j, p, tolerance):
     skew = ti.Matrix([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
     back = 2.0 * p[MU] * (2.0 * (s @ f) - (s - skew) @ rotation)
     back = back + p[LAM] * (2.0 * j - 1.0) * trace * cofactor(f, j)
-    return back, 2.0 * double_dot(s, b - v), j * (j - 1.0) * trace
+    return back, 2.0 * double_dot(s, f @ f.transpose() - v), j * (j - 1.0) * trace
 
 
-BACKWARDS: dict[str, Callable[..., Any]] = {"fixed_corotated": fixed_corotated, "neo_hookean": neo_hookean}
-"""Name of a law -> (T, F, J, p, tolerance) -> derivatives with respect to F, mu and lambda."""
+class Backwards(NamedTuple):
+    """Of a law, for the kernels."""
+
+    stress: Callable[..., Any]
+    """(F, J, p, tolerance) -> tau [Pa], and what `backwards` takes of the way there."""
+    backwards: Callable[..., Any]
+    """(T, F, J, what `stress` gave, p) -> derivatives with respect to F, mu and lambda."""
 
 
-@functools.cache
-def backwards(model: str) -> Callable[..., Any]:
-    return BACKWARDS[model]
+BACKWARDS = {
+    "fixed_corotated": Backwards(fixed_corotated, fixed_corotated_backwards),
+    "neo_hookean": Backwards(neo_hookean, neo_hookean_backwards),
+}
+"""By the name of the law."""
 
 
 @ti.func

@@ -26,7 +26,8 @@ def backwards(model: str, f: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.
             for a, b in ti.static(ti.ndrange(3, 3)):
                 f[a, b], t[a, b] = fs[i, a, b], ts[i, a, b]
             p = ti.Vector([mu, lam, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-            back, on_mu, on_lam = law(t, f, f.determinant(), p, 1e-16)
+            _, half = law.stress(f, f.determinant(), p, 1e-16)
+            back, on_mu, on_lam = law.backwards(t, f, f.determinant(), half, p)
             for a, b in ti.static(ti.ndrange(3, 3)):
                 out[i, a, b] = back[a, b]
             numbers[i, 0], numbers[i, 1] = on_mu, on_lam
