@@ -1,12 +1,13 @@
-"""What a gradient costs: `python -m analysis.gradient_bench [--particles 1000 5000] [--steps 256]`.
+"""What a gradient costs: `python -m analysis.gradient_bench [--particles 1000 5000] [--steps 512]`.
 
 The ball of `analysis.mpm_bench`, falling onto the ground, with its steps and then the gradient of where it is: the time
-of both together over that of the steps alone, each turn one after the other. And how many states are kept at once.
+of both together over that of the steps alone, of the processor, each turn one after the other. And how many states are kept at once.
 """
 
 import resource
 from dataclasses import replace
 from time import process_time
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +32,12 @@ def measure(particles: int, steps: int, model: str, precision: str, damped: bool
     points = points[(points**2).sum(axis=1) < 1][:particles] * radius + [0, 0, 1.02 * radius]
     volumes = np.full(len(points), DX**3 / 8)
     state, end = initial_state(points, volumes, [0.5, 0, -2]), steps * DT
-    settings = {"dx": DX, "dt": DT, "precision": precision, "rebound": [REBOUND] if damped else None}
+    settings: dict[str, Any] = {"dx": DX, "dt": DT, "precision": precision, "rebound": [REBOUND] if damped else None}
     material = replace(MATERIAL, model=model)
     forward, both, kept = [], [], 0
     for _ in range(1 + TURNS):
-        plain, run = (kind(state, volumes, material, **settings) for kind in (Simulation, Recording))
+        plain = Simulation(state, volumes, material, **settings)
+        run = Recording(state, volumes, material, **settings)
         began = process_time()
         plain.advance(end)
         forward.append(process_time() - began)
@@ -60,7 +62,7 @@ def main() -> None:
         "--particles 1000 5000 --steps 256",
     )
     parser.add_argument("--particles", type=int, nargs="+", default=[1000, 5000])
-    parser.add_argument("--steps", type=int, nargs="+", default=[256])
+    parser.add_argument("--steps", type=int, nargs="+", default=[512])
     parser.add_argument("--models", nargs="+", default=["neo_hookean", "fixed_corotated"])
     parser.add_argument("--precision", nargs="+", default=["float32"], choices=["float32", "float64"])
     parser.add_argument("--elastic", action="store_true", help="nothing loses energy")

@@ -1,4 +1,4 @@
-"""Free flight backwards, in closed form but for the rotation of a body with unequal inertia.
+"""Free flight backwards, in closed form but for the rotation of a body with unequal inertia, and for the air.
 
 `hoi.mpm.rigid`: the rigid motion is fitted to the state (com, V, L, I), and carries each arm r and F by R(t). For a
 small turn theta of R, with J = R I^-1 R^T and w = J L,
@@ -26,12 +26,11 @@ def flight_backwards(
     """The derivatives with respect to the state at the start of a flight, gravity, and how long it lasts.
 
     Args:
-        flight: without drag, from the rigid motion fitted to `state`.
+        flight: from the rigid motion fitted to `state`.
         masses: [kg], (P,). moment: D [m^2].
         time: how long it lasts [s].
         after: the derivative with respect to the state that it leads to.
     """
-    assert not flight.drag
     motion, g = flight.motion, flight.gravity
     count, total, momentum = len(masses), motion.mass, motion.angular_momentum
     inverse = np.linalg.inv(motion.inertia)
@@ -47,7 +46,7 @@ def flight_backwards(
     arms, f = r @ turn.T, turn @ state.deformation_gradient
 
     on_com = on_y.sum(axis=0)
-    on_velocity = time * on_com + on_u.sum(axis=0)
+    on_velocity, on_gravity = _along_the_path(flight, on_com, on_u.sum(axis=0), time)
     on_arms = on_y + np.cross(on_u, w)
     on_w = np.cross(arms, on_u).sum(axis=0) + axial(on_c.sum(axis=0))
     on_turn = np.cross(arms, on_arms).sum(axis=0) + axial(np.einsum("pik,pjk->ij", on_f, f))
@@ -55,10 +54,11 @@ def flight_backwards(
     on_momentum = j @ on_w
     on_inverse = np.outer(turn.T @ on_w, turn.T @ momentum)
 
-    changing = j @ np.cross(momentum, w)
+    changing, speed = j @ np.cross(momentum, w), flight.velocity(time)
+    slowing = g - flight.drag * np.linalg.norm(speed) * speed
     on_time = (
-        float((on_y * (motion.velocity + time * g + np.cross(w, arms))).sum())
-        + float((on_u * (g + np.cross(changing, arms) + np.cross(w, np.cross(w, arms)))).sum())
+        float((on_y * (speed + np.cross(w, arms))).sum())
+        + float((on_u * (slowing + np.cross(changing, arms) + np.cross(w, np.cross(w, arms)))).sum())
         + float(axial(on_c.sum(axis=0)) @ changing)
         + float((on_f * (rigid.cross_matrix(w) @ f)).sum())
     )
@@ -78,7 +78,7 @@ def flight_backwards(
         deformation_gradient=turn.T @ on_f,
         play=after.play,
     )
-    return before, 0.5 * time**2 * on_com + time * on_u.sum(axis=0), on_time
+    return before, on_gravity, on_time
 
 
 def landing_time(
@@ -120,6 +120,23 @@ def landing_backwards(
     with_event = Cotangent(positions, after.velocities, after.affine, after.deformation_gradient, after.play)
     before, gravity, _ = flight_backwards(flight, state, masses, moment, time, with_event)
     return before, gravity
+
+
+def _along_the_path(flight: rigid.Flight, on_com: Array, on_end: Array, time: float) -> tuple[Array, Array]:
+    """What the centre's place and velocity at the end owe to its velocity at the start, and to gravity."""
+    if not flight.drag or time == 0:
+        return time * on_com + on_end, 0.5 * time**2 * on_com + time * on_end
+
+    def rate(at: float, y: Array) -> Array:
+        v, worth = flight.velocity(max(at, 0.0)), y[:3]
+        speed = max(float(np.linalg.norm(v)), 1e-300)
+        slowed = flight.drag * (speed * worth + (v @ worth) / speed * v)
+        return np.concatenate([slowed - on_com, -worth])
+
+    scale = max(float(np.abs([on_com, on_end]).max()), 1e-300)
+    start = np.concatenate([on_end, np.zeros(3)])
+    end = solve_ivp(rate, (time, 0.0), start, "DOP853", rtol=TOLERANCE, atol=TOLERANCE * scale).y[:, -1]
+    return end[:3], end[3:]
 
 
 def _through_the_turn(flight: rigid.Flight, inverse: Array, on_turn: Array, time: float) -> tuple[Array, Array]:

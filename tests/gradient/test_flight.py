@@ -40,14 +40,14 @@ def moved(state: ObjectState, by: Cotangent, h: float) -> ObjectState:
     return replace(state, **{name: getattr(state, name) + h * getattr(by, name) for name in FIELDS})
 
 
-@pytest.mark.parametrize("spin", [(3.0, -8.0, 5.0), (0.0, 0.0, 0.0)])
-def test_each_cause_against_central_differences(spin) -> None:
+@pytest.mark.parametrize(("spin", "drag"), [((3.0, -8.0, 5.0), 0.0), ((0.0, 0.0, 0.0), 0.0), ((3.0, -8.0, 5.0), 0.05)])
+def test_each_cause_against_central_differences(spin, drag) -> None:
     state, after, way, time = start(spin), weights(1), weights(2), 0.7
 
     def value(state: ObjectState, time: float = time, g: np.ndarray = G) -> float:
-        return product(after, rigid.Flight(rigid.fit(state, MASSES, D), g).carry(state, time))
+        return product(after, rigid.Flight(rigid.fit(state, MASSES, D), g, drag).carry(state, time))
 
-    flight = rigid.Flight(rigid.fit(state, MASSES, D), G)
+    flight = rigid.Flight(rigid.fit(state, MASSES, D), G, drag)
     before, gravity, longer = flight_backwards(flight, state, MASSES, D, time, after)
     h = 1e-6
     for name in FIELDS:

@@ -1,5 +1,8 @@
 """The laws' stresses backwards: against central differences of the NumPy laws, also where stretches coincide."""
 
+# Kernel annotations are values, not types.
+# pyright: reportInvalidTypeForm=false
+
 import numpy as np
 import pytest
 from mpm_examples import EXAMPLES, deformations, stretched
