@@ -210,7 +210,7 @@ def fit(clip: Clip, material: Material, starts: Sequence[float] = (0.3, 3.0)) ->
         found = None
         for frames in (first, len(seen)):  # beyond the first contact misfits have many valleys
             start = x if found is None else np.clip(found.x, low + 1e-6, high - 1e-6)
-            found = least_squares(residuals, start, jacobian, (low, high), x_scale=scale, ftol=1e-4, xtol=1e-4,
+            found = least_squares(residuals, start, jacobian, (low, high), x_scale=scale, ftol=1e-4, xtol=1e-4,  # pyright: ignore[reportArgumentType]
                                   max_nfev=MOST_TURNS, args=(frames,))  # fmt: skip
         ends.append(found)
     best = min(ends, key=lambda found: found.cost)

@@ -1,7 +1,7 @@
 """What a gradient costs: `python -m analysis.gradient_bench [--particles 1000 5000] [--steps 512]`.
 
-The ball of `analysis.mpm_bench`, falling onto the ground, with its steps and then the gradient of where it is: the time
-of both together over that of the steps alone, of the processor, each turn one after the other. And how many states are kept at once.
+The ball of `analysis.mpm_bench`, falling onto the ground, with its steps and then the gradient of where it is: the
+processor's time of both together over that of the steps alone, in turns. And how many states are kept at once.
 """
 
 import resource
