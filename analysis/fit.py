@@ -134,7 +134,7 @@ def moved(clip: Clip, material: Material, velocity: Array, spin: Array, turn: Ar
 
     def simulation(state, now):
         nonlocal touched
-        touched |= Surroundings(planes, reaches).touches(state.positions)
+        touched |= bool(Surroundings(planes, reaches).touched(state.positions))
         return Simulation(state, volumes, material, dx=dx, rebound=rebound, gravity=clip.gravity, planes=planes)
 
     walk = Walk(
@@ -143,7 +143,7 @@ def moved(clip: Clip, material: Material, velocity: Array, spin: Array, turn: Ar
         frequency=lowest_frequency(positions, masses, [material]), tolerance=TOLERANCE, drag=clip.drag,
     )  # fmt: skip
     states = [walk.advance(frame / clip.fps)[0].positions for frame in range(len(clip.observed))]
-    touched |= any(Surroundings(planes, reaches).touches(x) for x in states)
+    touched |= any(Surroundings(planes, reaches).touched(x) for x in states)
     return np.stack(states), touched
 
 

@@ -58,9 +58,13 @@ class Course(Walk):
         assert isinstance(self.simulation, Recording)
         self.passed.append(_Phase(self.time, run=self.simulation))
 
+    def _rolls_on(self) -> None:
+        """A ball that rolls stays with the MPM, which goes backwards by its steps."""
+
     def _leave_mpm(self, phase: str, energy: float) -> None:
         super()._leave_mpm(phase, energy)
-        flight = self._flight if phase == "flight" else None
+        flight = self._path if phase == "flight" else None
+        assert flight is None or isinstance(flight, Flight)
         self.passed.append(_Phase(self.time, flight=flight, departed=self._state))
 
     def backwards(self, cotangents: Sequence[tuple[float, Cotangent]]) -> Gradient:

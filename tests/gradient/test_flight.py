@@ -45,7 +45,7 @@ def test_each_cause_against_central_differences(spin, drag) -> None:
     state, after, way, time = start(spin), weights(1), weights(2), 0.7
 
     def value(state: ObjectState, time: float = time, g: np.ndarray = G) -> float:
-        return product(after, rigid.Flight(rigid.fit(state, MASSES, D), g, drag).carry(state, time))
+        return product(after, rigid.carry(rigid.Flight(rigid.fit(state, MASSES, D), g, drag), state, time))
 
     flight = rigid.Flight(rigid.fit(state, MASSES, D), G, drag)
     before, gravity, longer = flight_backwards(flight, state, MASSES, D, time, after)
@@ -70,7 +70,7 @@ def test_a_landing_is_differentiated_at_its_time() -> None:
     def walk(state: ObjectState) -> tuple[rigid.Flight, float, int, ObjectState]:
         flight = rigid.Flight(rigid.fit(state, MASSES, D), G)
         time, lowest = landing_time(flight, state, plane, reach, 0.2)
-        return flight, time, lowest, flight.carry(state, time)
+        return flight, time, lowest, rigid.carry(flight, state, time)
 
     def value(state: ObjectState) -> float:
         _, time, _, landed = walk(state)
