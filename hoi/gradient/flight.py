@@ -124,7 +124,7 @@ def landing_backwards(
 
 def _along_the_path(flight: rigid.Flight, on_com: Array, on_end: Array, time: float) -> tuple[Array, Array]:
     """What the centre's place and velocity at the end owe to its velocity at the start, and to gravity."""
-    if not flight.drag or time == 0:
+    if not flight.drag or time == 0 or not (on_com.any() or on_end.any()):
         return time * on_com + on_end, 0.5 * time**2 * on_com + time * on_end
 
     def rate(at: float, y: Array) -> Array:
@@ -133,7 +133,7 @@ def _along_the_path(flight: rigid.Flight, on_com: Array, on_end: Array, time: fl
         slowed = flight.drag * (speed * worth + (v @ worth) / speed * v)
         return np.concatenate([slowed - on_com, -worth])
 
-    scale = max(float(np.abs([on_com, on_end]).max()), 1e-300)
+    scale = float(np.abs([on_com, on_end]).max())
     start = np.concatenate([on_end, np.zeros(3)])
     end = solve_ivp(rate, (time, 0.0), start, "DOP853", rtol=TOLERANCE, atol=TOLERANCE * scale).y[:, -1]
     return end[:3], end[3:]
