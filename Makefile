@@ -32,10 +32,11 @@ lint: $(READY)  ## ruff and the type checker
 	$(BIN)/ruff format --check
 	$(BIN)/basedpyright
 
-bench: $(READY)  ## seconds by stage of the default scene, of the person's answer, a step of the MPM and a picture
+bench: $(READY)  ## seconds by stage of the default scene, of the person's answer, a step of the MPM, a gradient and a picture
 	$(BIN)/python -m analysis.bench $(ARGS)
 	$(BIN)/python -m analysis.answer_bench
 	$(BIN)/python -m analysis.mpm_bench
+	$(BIN)/python -m analysis.gradient_bench
 	$(BIN)/python -m analysis.render_bench
 	$(BIN)/python -m analysis.film_bench
 

@@ -19,7 +19,7 @@ ROOMS = """
     hoi errors streams callable adam caches
     data files compute gpu
     frames reports gaussians mpm
-    terminal body objects
+    terminal body objects gradient
     motion record
     importers video_prior render
     refine export view
@@ -155,10 +155,11 @@ def test_the_method_knows_no_command_line(importers, never) -> None:
     assert not [each for each in ours for name in never if f"{each.of}.".startswith(f"{name}.")]
 
 
-def test_training_is_for_analysis_alone() -> None:
+@pytest.mark.parametrize("alone", ["training", "gradient"])
+def test_what_is_for_analysis_alone(alone) -> None:
     """A run needs nothing of it."""
-    users = {room(each.by) for each in imports() if room(each.of) == "training"}
-    assert users == {"training", "analysis"}
+    users = {room(each.by) for each in imports() if room(each.of) == alone}
+    assert users == {alone, "analysis"}
 
 
 def test_the_package_alone_loads_nothing() -> None:

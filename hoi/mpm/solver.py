@@ -404,7 +404,7 @@ class Simulation:
             self._new_grid(int(1.2 * shape.prod()))
         first = first.astype(np.int64) - margin
         if self.planes and (self.placed_at is None or (first != self.placed_at).any()):
-            self._place_planes(first)
+            self.place_planes(first)
             self.placed_at = first
         if shape.prod() != self.nodes:  # the copies begin elsewhere, and are to be clear
             self.grid.fill(0.0)
@@ -482,7 +482,7 @@ class Simulation:
             raise RunError(self._diverged("a particle has turned inside out (det F <= 0)"))
         return done
 
-    def _place_planes(self, origin: NDArray[np.int64]) -> None:
+    def place_planes(self, origin: NDArray[np.int64]) -> None:
         """Writes the planes as `hold_to_planes` reads them."""
         rows, depth = [], boundary.plane_depth(self.materials) * self.dx
         for plane in self.planes:
