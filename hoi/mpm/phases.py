@@ -165,12 +165,13 @@ class Walk:
         tolerance: amplitude of vibration, and way crept, that may be left out, relative to `size`; None leaves out
             nothing.
         drag: k of `hoi.mpm.rigid.Flight` [1/m]; left out of a flight that it would move by less than `tolerance`.
+        held: it lies still at first, where nothing will push it, and stays so until `wake`.
     """
 
     def __init__(
         self, state: ObjectState, masses: Array, start: Callable[[ObjectState, float], Simulation], *, end: float,
         gravity: Array, surroundings: Surroundings, size: float, moment: float, frequency: float | None,
-        tolerance: float | None, drag: float = 0.0,
+        tolerance: float | None, drag: float = 0.0, held: bool = False,
     ) -> None:  # fmt: skip
         self.time, self.phase, self.tally = 0.0, "mpm", Tally()
         self._state, self._masses, self._start, self._end = state, masses, start, end
@@ -182,6 +183,11 @@ class Walk:
             self._tolerance = tolerance
             self._between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
         self._ground = self._rolls_on()
+        if held and tolerance is not None and not will_be_pushed(
+            state.positions, surroundings.moving(0.0), 0.0, surroundings.collider_reach
+        ):
+            self.phase = "rest"
+            return
         self._begin_mpm()
         self.tally.first_step = self.simulation.time_step()
         if tolerance is not None and unstrained(state) and not self._around.touched(state.positions):
@@ -206,8 +212,19 @@ class Walk:
             self.tally.add(self.simulation, self._began)
         return self.tally
 
+    def wake(self) -> None:
+        """Simulates from now on what flies, rolls or rests."""
+        if self.phase != "mpm":
+            self.phase = "mpm"
+            self.tally.changes += 1
+            self._begin_mpm()
+
     def _begin_mpm(self) -> None:
         self.simulation, self._began = self._start(self._state, self.time), self.time
+        self.forget()
+
+    def forget(self) -> None:
+        """What was seen of it so far says nothing of how it goes on."""
         self._vibration: list[float] = []  # energies about the rigid motion, since it has been free or rolled
         self._still_since = self._held_since = math.inf
         self._last_look = self.time
@@ -215,10 +232,17 @@ class Walk:
     def _simulate(self, until: float) -> None:
         # No step is cut short for a look at the body: what it does depends on the length of the steps.
         self.simulation.step_towards(until - self._began, self._between_looks)
+        self.count_steps(until)
+        self._look(until)
+
+    def count_steps(self, until: float) -> None:
+        """Takes note of steps of the simulation, whoever took them, on the way to `until` [s]."""
         now = self._began + self.simulation.time
         _, fastest = self.simulation.bounds()
         self.tally.drag_left_out += self._drag * fastest**2 * (now - self.time) * (self._end - self.time)
         self._pass(until if until - now < ROUND_OFF else now)
+
+    def _look(self, until: float) -> None:
         looks = self.time - self._last_look > 0.99 * self._between_looks
         if looks:
             self._last_look = self.time
@@ -239,9 +263,7 @@ class Walk:
         self._state = rigid.carry(self._path, self._departed, until - self._departure)
         self._pass(until)
         if until >= self._path_ends:
-            self.phase = "mpm"
-            self.tally.changes += 1
-            self._begin_mpm()
+            self.wake()
 
     def _pass(self, until: float) -> None:
         self.tally.seconds[self.phase] += until - self.time
