@@ -27,7 +27,7 @@ from hoi.mpm.kernels import locate
 
 NOWHERE = -1e30
 """An extent of no particle."""
-SMOOTH = 1
+SMOOTH = 3
 """Nodes to each side over which the normal is a mean."""
 DEPTH = 0.49
 """So deep in one body a node has to lie to hold the other, as in a plane (`hoi.mpm.boundary`) [cells]."""
@@ -64,6 +64,15 @@ def weighed_gradient(node, nodes, copies, grid: ti.template(), dx, per_mass, sha
     g *= per_mass / dx**3
     square = g.dot(g)
     return square * ti.sqrt(square) * g
+
+
+@ti.func
+def sum_along(i, values: ti.template(), stride, length):
+    """The sum over `SMOOTH` nodes to either side along one axis, which has `length` nodes `stride` apart."""
+    place, total = i // stride % length, ti.Vector([0.0, 0.0, 0.0, 0.0])
+    for step in range(ti.max(-SMOOTH, -place), ti.min(SMOOTH, length - 1 - place) + 1):
+        total += values[i + step * stride]
+    return total
 
 
 @ti.func
@@ -117,21 +126,20 @@ def meet(
             n += -1.0 * weighed_gradient(a, nodes_a, copies, grid_a, dx, per_mass_a, shape_a)
             both = per_mass_a * mass_a * per_mass_b * mass_b / dx**6
             n *= both / ti.max(ti.sqrt(n.dot(n)), 1e-30)
-            n[3] = 1.0
         leaning[i] = n
         extents[2 * i], extents[2 * i + 1] = NOWHERE, NOWHERE
     for i in range(shared):
-        n = leaning[i]
-        if n[3] != 0.0:
-            i0, i1, i2 = i // (count[1] * count[2]), i % (count[1] * count[2]) // count[2], i % count[2]
-            for a, b, k in ti.ndrange((-SMOOTH, SMOOTH + 1), (-SMOOTH, SMOOTH + 1), (-SMOOTH, SMOOTH + 1)):
-                j0, j1, j2 = i0 + a, i1 + b, i2 + k
-                if j0 >= 0 and j1 >= 0 and j2 >= 0 and j0 < count[0] and j1 < count[1] and j2 < count[2]:
-                    n += leaning[(j0 * count[1] + j1) * count[2] + j2]
-            n[3] = 0.0
-            length = ti.sqrt(n.dot(n))
-            n *= 1.0 / ti.max(length, 1e-30)
-            n[3] = ti.cast(length > 1e-20, float)
+        normals[i] = sum_along(i, leaning, 1, count[2])
+    for i in range(shared):
+        leaning[i] = sum_along(i, normals, count[2], count[1])
+    for i in range(shared):
+        n = sum_along(i, leaning, count[1] * count[2], count[0])
+        a, b = index_of(i, low, count, origin_a, shape_a), index_of(i, low, count, origin_b, shape_b)
+        mass_a = momentum_of(a, nodes_a, copies, grid_a)[3]
+        mass_b = momentum_of(b, nodes_b, copies, grid_b)[3]
+        length = ti.sqrt(n.dot(n))
+        n *= 1.0 / ti.max(length, 1e-30)
+        n[3] = ti.cast(mass_a > 0.0 and mass_b > 0.0 and length > 1e-20, float)
         normals[i] = n
     for p in range(x_a.shape[0]):
         reach_out(p, 1.0, size, x_a, f_a, volume_a, normals, extents, low, count, dx, inv_dx)
