@@ -22,12 +22,10 @@ import numpy as np
 
 from hoi.data import Array, ObjectState
 from hoi.mpm import rigid
-from hoi.mpm.fields import Fields
+from hoi.mpm.fields import CLOSE, Fields, apart
 from hoi.mpm.phases import RESOLUTION, ROUND_OFF, Tally, Walk, time_to_close
 from hoi.mpm.solver import STEPS_A_LOOK
 
-CLOSE = 1.5
-"""Particles of two bodies within this may touch [cells]."""
 MOST_ADVANCES = 1000
 """Of conservative advancement; then the time found so far is taken, which is never late."""
 
@@ -180,18 +178,15 @@ class Bodies:
         """Whether a body of one may come within reach of a body of the other in the time `ahead` [s]."""
         now = self.walks[group[0]].time
         boxes = [[self._box(i, now, now + ahead) for i in each] for each in (group, other)]
-        return any(
-            float(np.maximum(a[0] - b[1], b[0] - a[1]).max()) <= CLOSE * self.dx
-            for a, b in itertools.product(*boxes)
-        )  # fmt: skip
+        return any(apart(a, b) <= CLOSE * self.dx for a, b in itertools.product(*boxes))
 
-    def _box(self, i: int, start: float, end: float) -> tuple[Array, Array]:
-        """Corners of a box that a body does not leave from `start` to `end` [s]."""
+    def _box(self, i: int, start: float, end: float) -> Array:
+        """Two corners of a box that a body does not leave from `start` to `end` [s]."""
         walk = self.walks[i]
         fall = float(np.linalg.norm(walk.gravity))
         if walk.phase == "rest":
             hull = self._hull_of(i, walk.tally.changes)
-            return hull.min(axis=0), hull.max(axis=0)
+            return np.array([hull.min(axis=0), hull.max(axis=0)])
         if walk.phase == "mpm":
             corners, speed = walk.simulation.bounds()
             for_long = max(abs(end - walk.time), abs(start - walk.time))
@@ -199,10 +194,12 @@ class Bodies:
             path, since = walk.path, max(start, self._since[i]) - walk.departure
             hull = self._hull_of(i, walk.tally.changes)
             corners = path.com(since) + hull @ path.rotation(since).T
-            speed = float(np.linalg.norm(path.velocity(since))) + path.fastest * float(np.linalg.norm(hull, axis=1).max())
+            speed = float(np.linalg.norm(path.velocity(since))) + path.fastest * float(
+                np.linalg.norm(hull, axis=1).max()
+            )
             fall, for_long = fall + path.unsteadiness(since), end - start
         moved = (speed + fall * for_long) * for_long
-        return corners.min(axis=0) - moved, corners.max(axis=0) + moved
+        return np.array([corners.min(axis=0) - moved, corners.max(axis=0) + moved])
 
     def _find_hull(self, i: int, _: int) -> Array:
         """Vertices of a body's convex hull [m]: about its centre of mass where it follows a path, else in the world."""

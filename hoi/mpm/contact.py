@@ -12,11 +12,17 @@ Between p2g and the grid's update each node that both fields a and b have, gets
 and b gets J, a gets -J: momentum is exchanged exactly, and so is angular momentum, as both act at one place. Nothing
 pulls: bodies separate as they like. No exchange adds energy.
 
-The normal weighs the bodies by how flat they are at the node. Under the edge of a box that lies on a larger one, the
-box's own gradient leans out by 45 degrees, but is smaller than that of the flat face: the face wins, as it does among
-rigid bodies. Where edge meets edge, both lean to opposite sides, and the sum does not. The gap is that of the surfaces,
-not of the fields, which overlap two cells before (Nairn, Hammerquist & Smith 2020, New material point method contact
-algorithms): r is half the width of a particle's cube, as stretched along n.
+The normal is a mean over the nodes around, each counting as V_a V_b: those in the surface where both have half their
+volume count most. At a node it weighs the bodies by how flat they are there. Under the edge of a box that lies on a
+larger one, the box's own gradient leans out by 45 degrees, but is smaller than that of the flat face: the face wins, as
+it does among rigid bodies. Where edge meets edge, both lean to opposite sides, and the sum does not. Measured on a block
+4 cells across that slides on a slab without friction, it is slowed by 0.03 g with the normal of each node alone.
+
+The gap is that of the surfaces, not of the fields, which overlap two cells before (Nairn, Hammerquist & Smith 2020, New
+material point method contact algorithms): r is half the width of a particle's cube, as stretched along n. Two balls of 8
+cells across come apart with 0.88 to 0.90 of their speed where one leaves a wall with 0.95, at 16 cells 0.91 to 0.93
+where it is 0.98. Holding only nodes half a cell inside the other body, as planes do, loses up to 0.7 of it once the
+surfaces move through the grid; sending back what a penalty stores makes energy.
 """
 
 # Kernel annotations are values, not types, and vectors can be sliced.
@@ -29,9 +35,7 @@ NOWHERE = -1e30
 """An extent of no particle."""
 SMOOTH = 3
 """Nodes to each side over which the normal is a mean."""
-DEPTH = 0.49
-"""So deep in one body a node has to lie to hold the other, as in a plane (`hoi.mpm.boundary`) [cells]."""
-NEAR = 1.25
+NEAR = 1.5
 """Particles so far from a node along each axis tell it where a surface is [cells]."""
 
 
@@ -83,7 +87,7 @@ def reach_out(p, side: ti.template(), size: ti.template(), x: ti.template(), f: 
     bx, fx = locate(size, position[0], inv_dx, low[0])
     by, fy = locate(size, position[1], inv_dx, low[1])
     bz, fz = locate(size, position[2], inv_dx, low[2])
-    if (bx > -size and by > -size and bz > -size and bx < count[0] and by < count[1] and bz < count[2]):
+    if bx > -size and by > -size and bz > -size and bx < count[0] and by < count[1] and bz < count[2]:
         f0, f1, f2 = f[3 * p], f[3 * p + 1], f[3 * p + 2]
         half = 0.5 * ti.pow(volume[p], 1.0 / 3.0)
         for a, b, k in ti.ndrange(size, size, size):
@@ -148,7 +152,7 @@ def meet(
     for i in range(shared):
         n = normals[i]
         ahead, back = extents[2 * i], extents[2 * i + 1]
-        if n[3] != 0.0 and ti.min(ahead, back) > 0.5 * NOWHERE and ti.max(ahead, back) > DEPTH * dx:
+        if n[3] != 0.0 and ti.min(ahead, back) > 0.5 * NOWHERE:
             n[3] = 0.0
             a, b = index_of(i, low, count, origin_a, shape_a), index_of(i, low, count, origin_b, shape_b)
             of_a, of_b = momentum_of(a, nodes_a, copies, grid_a), momentum_of(b, nodes_b, copies, grid_b)

@@ -17,6 +17,9 @@ from hoi.errors import InputError, RunError
 from hoi.mpm import contact
 from hoi.mpm.solver import STEPS_A_LOOK, Launch, Simulation, set_status
 
+CLOSE = 1.5
+"""Particles of two bodies within this may touch [cells]."""
+
 
 class Fields:
     """Room to work in, for any bodies on one lattice.
@@ -51,7 +54,8 @@ class Fields:
         steps = max(math.ceil(left / dt * (1 - 1e-9)), 1)
         dt = left / steps
         at_once = min(steps, STEPS_A_LOOK, max(math.ceil(span / dt), 1) if span < left else steps)
-        launches = [each.prepare(at_once, dt) for each in simulations]
+        touching = _touching([each.bounds()[0] for each in simulations], CLOSE * simulations[0].dx)
+        launches = [each.prepare(at_once, dt, touches) for each, touches in zip(simulations, touching, strict=True)]
         pairs = self._pairs(simulations, launches, friction)
         for each in simulations:
             each.given.fill(0.0)
@@ -113,9 +117,17 @@ class Fields:
     def _check(self, simulation: Simulation) -> None:
         for name, value in _kind(simulation).items():
             if value != self._like[name]:
-                raise InputError(
-                    f"bodies on one grid must have the same {name}, got {value} beside {self._like[name]}"
-                )
+                raise InputError(f"bodies on one grid must have the same {name}, got {value} beside {self._like[name]}")
+
+
+def apart(a: Array, b: Array) -> float:
+    """How far the boxes around two sets of points (P, 3) and (Q, 3) are from each other, at the least [m]."""
+    return float(np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0)).max())
+
+
+def _touching(boxes: Sequence[Array], reach: float) -> list[bool]:
+    """Which boxes, their corners (8, 3), have another within `reach` [m]."""
+    return [any(apart(a, b) <= reach for b in boxes if b is not a) for a in boxes]
 
 
 def _kind(simulation: Simulation) -> dict[str, Any]:

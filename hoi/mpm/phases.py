@@ -183,8 +183,10 @@ class Walk:
             self._tolerance = tolerance
             self.between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
         self._ground = self._rolls_on()
-        if held and tolerance is not None and not will_be_pushed(
-            state.positions, surroundings.moving(0.0), 0.0, surroundings.collider_reach
+        if (
+            held
+            and tolerance is not None
+            and not will_be_pushed(state.positions, surroundings.moving(0.0), 0.0, surroundings.collider_reach)
         ):
             self.phase = "rest"
             return

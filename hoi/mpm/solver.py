@@ -326,8 +326,11 @@ class Simulation:
         """The longest step that it and its partner allow now [s]."""
         return min(self.time_step(), self._partner_step())
 
-    def prepare(self, steps: int, dt: float) -> Launch:
+    def prepare(self, steps: int, dt: float, touching: bool = False) -> Launch:
         """What a launch of some steps of `dt` [s] works on; with a partner near they may be fewer.
+
+        Args:
+            touching: something beside what it knows of is in touch with the object, which so does not fall freely.
 
         Raises:
             RunError: `dt` is above the limit, or the object has come apart.
@@ -347,7 +350,7 @@ class Simulation:
         ahead = steps * dt
         path = (speed + float(np.linalg.norm(self.gravity)) * ahead) * ahead
         origin, shape = self._fit_window(low, high, path)
-        near, touching = self._in_reach(low, high, path), self._in_reach(low, high, 0.0)
+        near, touching = self._in_reach(low, high, path), touching or self._in_reach(low, high, 0.0)
         if self._partner_near(low, high, path, ahead):
             steps = min(steps, max(round(EXCHANGE / dt), 1))
             return self._begin(steps, dt, origin, shape, near=True, touching=True, coupled=True)
