@@ -9,7 +9,7 @@ flight, if nothing can come near it meanwhile:
 | one that is simulated | boxes around both, grown by what they can move in twice the time that it goes on for |
 
 What may touch is brought to one time, woken, and stepped together (`hoi.mpm.fields`) until it is apart again. A body at
-rest is a lookup of its box: it costs no step, and the others step as if it were not there, until one of them comes near.
+rest costs a look at its box, but no step, and the others step as if it were not there, until one of them comes near.
 What lies on each other rests together, once all of it is still, and is woken together.
 """
 

@@ -15,11 +15,11 @@ pulls: bodies separate as they like. No exchange adds energy.
 The normal is a mean over the nodes around, each counting as V_a V_b: those in the surface where both have half their
 volume count most. At a node it weighs the bodies by how flat they are there. Under the edge of a box that lies on a
 larger one, the box's own gradient leans out by 45 degrees, but is smaller than that of the flat face: the face wins, as
-it does among rigid bodies. Where edge meets edge, both lean to opposite sides, and the sum does not. Measured on a block
-4 cells across that slides on a slab without friction, it is slowed by 0.03 g with the normal of each node alone.
+it does among rigid bodies. Where edge meets edge, both lean to opposite sides, and the sum does not. A block 4 cells
+across that slides on a slab without friction is slowed by 0.02 g, with the normal of each node alone by 0.03 to 0.04.
 
 The gap is that of the surfaces, not of the fields, which overlap two cells before (Nairn, Hammerquist & Smith 2020, New
-material point method contact algorithms): r is half the width of a particle's cube, as stretched along n. Two balls of 8
+material point method contact algorithms): r is half the width of a particle's cube, as stretched along n. Two balls 8
 cells across come apart with 0.88 to 0.90 of their speed where one leaves a wall with 0.95, at 16 cells 0.91 to 0.93
 where it is 0.98. Holding only nodes half a cell inside the other body, as planes do, loses up to 0.7 of it once the
 surfaces move through the grid; sending back what a penalty stores makes energy.
@@ -81,7 +81,8 @@ def sum_along(i, values: ti.template(), stride, length):
 
 @ti.func
 def reach_out(p, side: ti.template(), size: ti.template(), x: ti.template(), f: ti.template(), volume: ti.template(),
-              normals: ti.template(), extents: ti.template(), low: ti.template(), count: ti.template(), dx, inv_dx):  # fmt: skip
+              normals: ti.template(), extents: ti.template(), low: ti.template(), count: ti.template(), dx,
+              inv_dx):  # fmt: skip
     """Moves the extents of a body at the nodes near particle p, along `side` times the normal."""
     position = x[p]
     bx, fx = locate(size, position[0], inv_dx, low[0])
@@ -91,10 +92,10 @@ def reach_out(p, side: ti.template(), size: ti.template(), x: ti.template(), f: 
         f0, f1, f2 = f[3 * p], f[3 * p + 1], f[3 * p + 2]
         half = 0.5 * ti.pow(volume[p], 1.0 / 3.0)
         for a, b, k in ti.ndrange(size, size, size):
-            i, j, l = bx + a, by + b, bz + k
+            i, j, m = bx + a, by + b, bz + k
             far = ti.max(ti.abs(fx - a), ti.abs(fy - b), ti.abs(fz - k))
-            if i >= 0 and j >= 0 and l >= 0 and i < count[0] and j < count[1] and l < count[2] and far < NEAR:
-                node = (i * count[1] + j) * count[2] + l
+            if i >= 0 and j >= 0 and m >= 0 and i < count[0] and j < count[1] and m < count[2] and far < NEAR:
+                node = (i * count[1] + j) * count[2] + m
                 n = normals[node]
                 if n[3] != 0.0:
                     along = dx * (n[0] * (fx - a) + n[1] * (fy - b) + n[2] * (fz - k))

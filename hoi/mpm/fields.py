@@ -106,8 +106,8 @@ class Fields:
             windows += [*launch.numbers[-2:], float(each.volumes.sum() / each.masses.sum())]
         a = simulations[i]
         copies = 1 if a.on_gpu else a.threads
-        return (copies, a.size, *particles, self.leaning, self.normals, self.extents, *windows, _vector(low), _vector(count),
-                float(friction[i, j]), launches[i].dt, a.dx, 1 / a.dx)  # fmt: skip
+        return (copies, a.size, *particles, self.leaning, self.normals, self.extents, *windows, _vector(low),
+                _vector(count), float(friction[i, j]), launches[i].dt, a.dx, 1 / a.dx)  # fmt: skip
 
     def _new_room(self, nodes: int) -> None:
         self.leaning = ti.Vector.ndarray(4, self.real, nodes)

@@ -32,7 +32,9 @@ def test_bystanders_cost_no_step_and_change_no_bit() -> None:
     x, volumes = block((0.2, 0.2, 0.1), DX / 2, lowest=0.02)
     options = {"planes": (FLOOR,), "gravity": GRAVITY, "material": STIFF}
     alone = walk(x, volumes, [0.1, 0, 0], end=0.2, **options)
-    others = [walk(x + [1.0 + i, 0, -0.02], volumes, [0, 0, 0], end=0.2, held=True, **options) for i in range(10)]
+    others = [
+        walk(x + np.array([1.0 + i, 0, -0.02]), volumes, [0, 0, 0], end=0.2, held=True, **options) for i in range(10)
+    ]
     beside = together(walk(x, volumes, [0.1, 0, 0], end=0.2, **options), *others)
     for time in (0.05, 0.1, 0.2):
         (state, phase), *rest = beside.advance(time)
@@ -61,7 +63,7 @@ def test_a_stack_of_six_boxes_stands() -> None:
     """It settles, is held, and from then on stays for five seconds; while it settles it creeps by less than 1 mm/s."""
     x, volumes = block((0.2, 0.2, 0.2), DX)
     options = {"planes": (FLOOR,), "gravity": GRAVITY, "material": SOFT, "rebound": [0.2], "end": 6.0}
-    stack = together(*[walk(x + [0, 0, 0.2 * k], volumes, [0, 0, 0], **options) for k in range(6)])
+    stack = together(*[walk(x + np.array([0, 0, 0.2 * k]), volumes, [0, 0, 0], **options) for k in range(6)])
     places, times = [], [0.6, 0.7, 1.0, 6.0]
     for time in times:
         states = stack.advance(time)

@@ -72,8 +72,8 @@ def test_nothing_is_felt_before_surfaces_meet(place: float, turn: float) -> None
     about = Rotation.from_rotvec([0, 0, turn])
     gap, speed = 1.5 * DX, 1.0
     x, volumes = block((0.2, 0.3, 0.3), DX / 2)
-    other = x + [0.2 + gap, 0, 0]
-    a, b = (about.apply(each) + [place * DX, 0, 0] for each in (x, other))
+    other = x + np.array([0.2 + gap, 0, 0])
+    a, b = (about.apply(each) + np.array([place * DX, 0, 0]) for each in (x, other))
     ahead = about.apply([1.0, 0, 0])
     meeting = Meeting((a, volumes, speed * ahead, STIFF), (b, volumes, 0 * ahead, STIFF), precision="float64")
     apart, felt = gap, None
@@ -90,7 +90,7 @@ def test_nothing_is_felt_before_surfaces_meet(place: float, turn: float) -> None
 def test_bodies_part_as_they_like() -> None:
     """Two blocks face to face, one leaving: neither feels the other."""
     x, volumes = block((0.2, 0.2, 0.2), DX / 2)
-    meeting = Meeting((x, volumes, [-1.0, 0, 0], STIFF), (x + [0.2, 0, 0], volumes, [0.5, 0, 0], STIFF))
+    meeting = Meeting((x, volumes, [-1.0, 0, 0], STIFF), (x + np.array([0.2, 0, 0]), volumes, [0.5, 0, 0], STIFF))
     meeting.advance(0.1)
     for state, velocity in zip(meeting.states(), ([-1.0, 0, 0], [0.5, 0, 0]), strict=True):
         np.testing.assert_allclose(state.velocities, np.tile(velocity, (len(x), 1)), atol=1e-6)
@@ -103,7 +103,7 @@ def test_a_block_slides_on_another_as_coulomb_says(friction: float, within: floa
     top, of_top = block((0.2, 0.2, 0.1), DX / 2, lowest=0.15)
     heavy = replace(STIFF, density=4000.0)
     meeting = Meeting(
-        (slab, of_slab, [0, 0, 0], heavy), (top + [0.1, 0.05, 0], of_top, [1.0, 0, 0], STIFF),
+        (slab, of_slab, [0, 0, 0], heavy), (top + np.array([0.1, 0.05, 0]), of_top, [1.0, 0, 0], STIFF),
         friction=friction, gravity=(0, 0, -9.81), planes=[FLOOR], rebound=[0.3],
     )  # fmt: skip
     meeting.advance(0.12)
@@ -136,5 +136,5 @@ def test_bodies_of_two_grids_are_refused() -> None:
     x, volumes = block((0.1, 0.1, 0.1), DX / 2)
     meeting = Meeting((x, volumes, [0, 0, 0], STIFF), (x + 1, volumes, [0, 0, 0], STIFF))
     other = Meeting((x, volumes, [0, 0, 0], STIFF), dx=2 * DX)
-    with pytest.raises(InputError, match="must have the same dx, got 0.1 beside 0.05"):
+    with pytest.raises(InputError, match=r"must have the same dx, got 0\.1 beside 0\.05"):
         meeting.fields.step_towards([*meeting.simulations, *other.simulations], 0.1, np.zeros((3, 3)))
