@@ -177,7 +177,7 @@ class Walk:
         self.here, self._masses, self._start, self._end = state, masses, start, end
         self.gravity, self._around = np.asarray(gravity, dtype=np.float64), surroundings
         self._size, self._moment, self._frequency = size, moment, frequency
-        self._drag = drag
+        self._drag, self.simulated = drag, False
         self._tolerance, self.between_looks = 0.0, math.inf  # no looks
         if tolerance is not None:
             self._tolerance = tolerance
@@ -222,7 +222,7 @@ class Walk:
             self._begin_mpm()
 
     def _begin_mpm(self) -> None:
-        self.simulation, self.began = self._start(self.here, self.time), self.time
+        self.simulation, self.began, self.simulated = self._start(self.here, self.time), self.time, True
         self.forget()
 
     def forget(self) -> None:
