@@ -20,7 +20,7 @@ across that slides on a slab without friction is slowed by 0.02 g, with the norm
 
 The gap is that of the surfaces, not of the fields, which overlap two cells before (Nairn, Hammerquist & Smith 2020, New
 material point method contact algorithms): r is half the width of a particle's cube, as stretched along n. Two balls 8
-cells across come apart with 0.88 to 0.90 of their speed where one leaves a wall with 0.95, at 16 cells 0.91 to 0.93
+cells across come apart with 0.86 to 0.90 of their speed where one leaves a wall with 0.95, at 16 cells 0.91 to 0.93
 where it is 0.98. Holding only nodes half a cell inside the other body, as planes do, loses up to 0.7 of it once the
 surfaces move through the grid; sending back what a penalty stores makes energy.
 """
