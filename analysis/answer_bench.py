@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
 from unittest import mock
 
 from hoi.errors import InputError
@@ -92,16 +91,16 @@ class Steps:
 def pushing_steps() -> Iterator[Steps]:
     """While it lasts, the steps with a limb near the object are counted."""
     from hoi.mpm.coupling import Coupling
-    from hoi.mpm.solver import Simulation
+    from hoi.mpm.solver import Launch, Simulation
 
     steps, aside, launch = Steps(), Spent(), Simulation._launch
 
-    def timed(simulation: Simulation, *args: Any, **kwargs: Any) -> int:
+    def timed(simulation: Simulation, prepared: Launch, **options: bool) -> int:
         collider, before = simulation.collider, aside.seconds
         moving = collider is not None and collider.times[0] <= simulation.time < collider.times[-1]
         began = time.process_time()
-        done = launch(simulation, *args, **kwargs)
-        if kwargs.get("coupled") or (moving and kwargs.get("near")):
+        done = launch(simulation, prepared, **options)
+        if prepared.coupled or (moving and prepared.near):
             steps.seconds += time.process_time() - began - (aside.seconds - before)
             steps.count += done
         return done

@@ -56,6 +56,45 @@ class Mover(Protocol):
         ...
 
 
+class JointMover(Protocol):
+    """Moves several objects, which may hit, slide on and lie on each other."""
+
+    def __call__(
+        self,
+        worlds: Sequence[World],
+        states: Sequence[ObjectState],
+        start: float,
+        stops: Sequence[float],
+        stage: Stage,
+        colliders: Sequence[Collider | Partner | None] = (),
+        held: Sequence[bool] = (),
+    ) -> tuple[Advanced, ...]:
+        """As a `Mover`, of each of N objects; all worlds have one rate and one gravity.
+
+        The friction of a pair is the geometric mean of what their first materials have against the ground.
+
+        Args:
+            colliders: what pushes each, N of them; a partner pushes one object alone. (): nothing does.
+            held: which of them lie still until something comes near. (): none.
+        """
+        ...
+
+
+def joint_motion(
+    worlds: Sequence[World], move: JointMover, stage: Stage, held: Sequence[bool] = ()
+) -> tuple[tuple[ObjectTrajectory, tuple[ObjectState, ...]], ...]:
+    """Several objects from t = 0 to T, as `free_motion` of each that may touch the others."""
+    starts = [
+        initial_state(world.thing.particles, world.thing.masses, world.thing.velocity, world.thing.angular_velocity)
+        for world in worlds
+    ]
+    found = move(worlds, starts, 0.0, range(worlds[0].frames), stage, (), held)
+    return tuple(
+        (trajectory_of(world.thing, each.states, each.energy, each.phase), each.states)
+        for world, each in zip(worlds, found, strict=True)
+    )
+
+
 def at_rest(
     scene: Scene | World,
     state: ObjectState,

@@ -453,6 +453,7 @@ def begin_step(
 
 @ti.kernel
 def end_step(
+    last: int,
     number: int,
     near: int,
     shares: int,
@@ -489,7 +490,7 @@ def end_step(
     shape: ti.types.vector(4, int),
 ):
     """The second half: the grid, and g2p. `given` (copies) sums the momentum that capsules gave [N s]; copies of the
-    grid are clear after."""
+    grid are clear after. The step is over with the `last` of the objects that share a status."""
     nodes = shape[0] * shape[1] * shape[2]
     share_size, slab = (x.shape[0] + shares - 1) // shares, (nodes + shares - 1) // shares
     ti.loop_config(block_dim=128 if ti.static(atomic) else CPU_TASK)
@@ -513,7 +514,7 @@ def end_step(
             for p in range(share * share_size, ti.min((share + 1) * share_size, x.shape[0])):
                 gather(p, size, models, x, v, c, f, total, hardening, region, materials, grid, status, dt, dx,
                        inv_dx, drift, origin, shape)  # fmt: skip
-    if status[STOP] == 0:
+    if last != 0 and status[STOP] == 0:
         status[STOP] = status[AT_RIM] + status[INVERTED]
         status[DONE] += 1
 

@@ -165,23 +165,31 @@ class Walk:
         tolerance: amplitude of vibration, and way crept, that may be left out, relative to `size`; None leaves out
             nothing.
         drag: k of `hoi.mpm.rigid.Flight` [1/m]; left out of a flight that it would move by less than `tolerance`.
+        held: it lies still at first, where nothing will push it, and stays so until `wake`.
     """
 
     def __init__(
         self, state: ObjectState, masses: Array, start: Callable[[ObjectState, float], Simulation], *, end: float,
         gravity: Array, surroundings: Surroundings, size: float, moment: float, frequency: float | None,
-        tolerance: float | None, drag: float = 0.0,
+        tolerance: float | None, drag: float = 0.0, held: bool = False,
     ) -> None:  # fmt: skip
         self.time, self.phase, self.tally = 0.0, "mpm", Tally()
-        self._state, self._masses, self._start, self._end = state, masses, start, end
-        self._gravity, self._around = np.asarray(gravity, dtype=np.float64), surroundings
+        self.here, self._masses, self._start, self._end = state, masses, start, end
+        self.gravity, self._around = np.asarray(gravity, dtype=np.float64), surroundings
         self._size, self._moment, self._frequency = size, moment, frequency
-        self._drag = drag
-        self._tolerance, self._between_looks = 0.0, math.inf  # no looks
+        self._drag, self.simulated = drag, False
+        self._tolerance, self.between_looks = 0.0, math.inf  # no looks
         if tolerance is not None:
             self._tolerance = tolerance
-            self._between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
+            self.between_looks = (2 * math.pi / frequency if frequency else STILL) / LOOKS_A_PERIOD
         self._ground = self._rolls_on()
+        if (
+            held
+            and tolerance is not None
+            and not will_be_pushed(state.positions, surroundings.moving(0.0), 0.0, surroundings.collider_reach)
+        ):
+            self.phase = "rest"
+            return
         self._begin_mpm()
         self.tally.first_step = self.simulation.time_step()
         if tolerance is not None and unstrained(state) and not self._around.touched(state.positions):
@@ -193,55 +201,75 @@ class Walk:
         while self.time < until:
             moved_by = self.phase
             if self.phase == "mpm":
-                self._simulate(until)
+                self.simulate(until)
             elif self.phase == "rest":
                 self._pass(until)
             else:
-                self._follow(min(until, self._path_ends))
-        return self._state, moved_by
+                self._follow(min(until, self.path_ends))
+        return self.here, moved_by
 
     def finish(self) -> Tally:
         """The tally of the whole walk."""
         if self.phase == "mpm":
-            self.tally.add(self.simulation, self._began)
+            self.tally.add(self.simulation, self.began)
         return self.tally
 
+    def wake(self) -> None:
+        """Simulates from now on what flies, rolls or rests."""
+        if self.phase != "mpm":
+            self.phase = "mpm"
+            self.tally.changes += 1
+            self._begin_mpm()
+
     def _begin_mpm(self) -> None:
-        self.simulation, self._began = self._start(self._state, self.time), self.time
+        self.simulation, self.began, self.simulated = self._start(self.here, self.time), self.time, True
+        self.forget()
+
+    def forget(self) -> None:
+        """What was seen of it so far says nothing of how it goes on."""
         self._vibration: list[float] = []  # energies about the rigid motion, since it has been free or rolled
         self._still_since = self._held_since = math.inf
         self._last_look = self.time
 
-    def _simulate(self, until: float) -> None:
+    def simulate(self, until: float) -> None:
         # No step is cut short for a look at the body: what it does depends on the length of the steps.
-        self.simulation.step_towards(until - self._began, self._between_looks)
-        now = self._began + self.simulation.time
+        self.simulation.step_towards(until - self.began, self.between_looks)
+        self.count_steps(until)
+        self._look(until)
+
+    def count_steps(self, until: float) -> None:
+        """Takes note of steps of the simulation, whoever took them, on the way to `until` [s]."""
+        now = self.began + self.simulation.time
         _, fastest = self.simulation.bounds()
         self.tally.drag_left_out += self._drag * fastest**2 * (now - self.time) * (self._end - self.time)
         self._pass(until if until - now < ROUND_OFF else now)
-        looks = self.time - self._last_look > 0.99 * self._between_looks
+
+    def _look(self, until: float) -> None:
+        looks = self.time - self._last_look > 0.99 * self.between_looks
         if looks:
             self._last_look = self.time
-            box, speed = self.simulation.bounds()
-            rests = self._rests(box, speed)
+            box, _ = self.simulation.bounds()
+            rests = self.rests()
             if not rests and (self._frequency is None or self._around.touched(box) not in ([], [self._ground])):
                 self._vibration.clear()
                 self._held_since = math.inf
                 looks = False  # nothing to decide: the particles stay on the device
         if looks or self.time == until:
-            self._state = self.simulation.state()
+            self.take_state()
         if looks and rests:
-            self._hold()
+            self.hold()
         elif looks and self._frequency is not None:
             self._consider_going_rigid(self._frequency)
 
+    def take_state(self) -> None:
+        """Has the state of the simulation as its own."""
+        self.here = self.simulation.state()
+
     def _follow(self, until: float) -> None:
-        self._state = rigid.carry(self._path, self._departed, until - self._departure)
+        self.here = rigid.carry(self.path, self.departed, until - self.departure)
         self._pass(until)
-        if until >= self._path_ends:
-            self.phase = "mpm"
-            self.tally.changes += 1
-            self._begin_mpm()
+        if until >= self.path_ends:
+            self.wake()
 
     def _pass(self, until: float) -> None:
         self.tally.seconds[self.phase] += until - self.time
@@ -254,41 +282,44 @@ class Walk:
         self.phase = phase
         self.tally.changes += 1
         self.tally.energy += energy
-        self.tally.add(self.simulation, self._began)
+        self.tally.add(self.simulation, self.began)
 
-    def _rests(self, box: Array, speed: float) -> bool:
+    def rests(self) -> bool:
         """Whether, for a while, no particle has been faster than `tolerance` times sqrt(g size), its speed in a fall,
         and no limb will come.
 
         That the speed stays low for `STILL` bounds the acceleration too: what is not supported falls out of it.
         """
-        slow = speed <= self._tolerance * math.sqrt(float(np.linalg.norm(self._gravity)) * self._size)
+        if math.isinf(self.between_looks):
+            return False
+        box, speed = self.simulation.bounds()
+        slow = speed <= self._tolerance * math.sqrt(float(np.linalg.norm(self.gravity)) * self._size)
         if not slow or will_be_pushed(box, self._around.moving(self.time), self.time, self._around.collider_reach):
             self._still_since = math.inf
         else:
             self._still_since = min(self._still_since, self.time)
         return self.time - self._still_since >= STILL
 
-    def _hold(self) -> None:
-        state = self._state
+    def hold(self) -> None:
+        state = self.here
         self._leave_mpm("rest", 0.5 * float(self._masses @ (state.velocities**2).sum(axis=1)))
-        self._state = replace(state, velocities=0 * state.velocities, affine=0 * state.affine)
+        self.here = replace(state, velocities=0 * state.velocities, affine=0 * state.affine)
 
     def _rolls_on(self) -> int | None:
         """The plane that a ball may roll on."""
-        sag = float(np.linalg.norm(self._gravity)) / (self._frequency or math.inf) ** 2
-        if not 0 < sag <= self._tolerance * self._size or not is_ball(self._state.positions, self._masses):
+        sag = float(np.linalg.norm(self.gravity)) / (self._frequency or math.inf) ** 2
+        if not 0 < sag <= self._tolerance * self._size or not is_ball(self.here.positions, self._masses):
             return None
-        level = (i for i, plane in enumerate(self._around.planes) if bears(plane, self._gravity))
+        level = (i for i, plane in enumerate(self._around.planes) if bears(plane, self.gravity))
         return next(level, None)
 
     def _consider_going_rigid(self, frequency: float) -> None:
-        state, half_period = self._state, LOOKS_A_PERIOD // 2
+        state, half_period = self.here, LOOKS_A_PERIOD // 2
         motion = rigid.fit(state, self._masses, self._moment)
         rolls = bool(self._around.touched(state.positions))
-        gravity = float(np.linalg.norm(self._gravity))
+        gravity = float(np.linalg.norm(self.gravity))
         hops = math.sqrt(2 * gravity * self._tolerance * self._size)
-        along_normal = abs(float(motion.velocity @ self._gravity)) / gravity if rolls else 0.0
+        along_normal = abs(float(motion.velocity @ self.gravity)) / gravity if rolls else 0.0
         if rolls != math.isfinite(self._held_since) or along_normal > hops:
             self._vibration.clear()
             self._held_since = self.time if rolls and along_normal <= hops else math.inf
@@ -307,17 +338,17 @@ class Walk:
 
     def _roll(self, motion: rigid.RigidMotion, energy: float) -> bool:
         assert self._ground is not None
-        rolling = Rolling(motion, self._around.planes[self._ground], self._gravity, self._drag, self._moment)
+        rolling = Rolling(motion, self._around.planes[self._ground], self.gravity, self._drag, self._moment)
         hopping = float(np.linalg.norm(motion.velocity - rolling.velocity(0.0)))
         energy += 0.5 * motion.mass * hopping**2
         return self._go("rolling", rolling, self._around.without(self._ground), energy)
 
     def _fly(self, motion: rigid.RigidMotion, energy: float = 0.0) -> bool:
         longest = self._end - self.time
-        fastest = float(np.linalg.norm(motion.velocity)) + float(np.linalg.norm(self._gravity)) * longest
+        fastest = float(np.linalg.norm(motion.velocity)) + float(np.linalg.norm(self.gravity)) * longest
         moved = 0.5 * self._drag * fastest**2 * longest**2
         drag = self._drag if moved > self._tolerance * self._size else 0.0
-        if not self._go("flight", rigid.Flight(motion, self._gravity, drag), self._around, energy):
+        if not self._go("flight", rigid.Flight(motion, self.gravity, drag), self._around, energy):
             return False
         if not drag:
             self.tally.drag_left_out += moved
@@ -326,12 +357,12 @@ class Walk:
     def _go(self, phase: str, path: rigid.Path, around: Surroundings, energy: float) -> bool:
         """Follows a path where it is long enough to be worth it; `energy` is what it leaves out [J]."""
         longest = self._end - self.time
-        hull = rigid.hull(self._state.positions - path.motion.com)
+        hull = rigid.hull(self.here.positions - path.motion.com)
         alone = first_contact(path, hull, around, self.time, longest)
         ends = self.time + alone if alone < longest else math.inf
-        if ends <= self.time + self._between_looks:
+        if ends <= self.time + self.between_looks:
             return False
-        self._path, self._departed, self._departure, self._path_ends = path, self._state, self.time, ends
+        self.path, self.departed, self.departure, self.path_ends = path, self.here, self.time, ends
         self._leave_mpm(phase, energy)
         return True
 
@@ -369,14 +400,14 @@ def first_contact(path: rigid.Path, hull: Array, around: Surroundings, start: fl
         for plane, reach in zip(around.planes, around.reach, strict=True):
             height = float((com - plane.point) @ plane.normal) - reach
             rate, acceleration = float(velocity @ plane.normal), float(path.gravity @ plane.normal) - unsteady
-            ball = _time_to_close(height - radius, rate, acceleration)
+            ball = time_to_close(height - radius, rate, acceleration)
             turning = rate - path.fastest * radius
-            sure = min(sure, max(ball, _time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
+            sure = min(sure, max(ball, time_to_close(height + (vertices @ plane.normal).min(), turning, acceleration)))
         if moving is not None and start + time < moving.times[-1]:
             gap, speed = _gap_to_collider(moving, com, start + time)
             rate = -float(np.linalg.norm(velocity)) - speed
             gap -= radius + around.collider_reach
-            sure = min(sure, _time_to_close(gap, rate, -float(np.linalg.norm(path.gravity)) - unsteady))
+            sure = min(sure, time_to_close(gap, rate, -float(np.linalg.norm(path.gravity)) - unsteady))
         if sure < RESOLUTION:
             return time
         time += sure
@@ -395,7 +426,7 @@ def will_be_pushed(box: Array, collider: Collider | None, time: float, reach: fl
     return bool((apart < reach).any())
 
 
-def _time_to_close(gap: float, rate: float, acceleration: float) -> float:
+def time_to_close(gap: float, rate: float, acceleration: float) -> float:
     """The first t >= 0 with gap + rate t + acceleration t^2/2 <= 0; infinite when there is none [s]."""
     if gap <= 0:
         return 0.0

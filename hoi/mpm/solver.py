@@ -40,6 +40,34 @@ UNSTABLE_CFL = 1.15
 """Above the largest CFL number that was measured to be stable."""
 
 
+@dataclass(frozen=True)
+class Launch:
+    """Some steps of one length in one window: what the kernels work on."""
+
+    steps: int
+    dt: float
+    """[s]."""
+    origin: NDArray[np.int64]
+    """First node of the window, (3,)."""
+    shape: NDArray[np.int64]
+    """Its nodes along each axis, (3,)."""
+    near: bool
+    """Whether anything solid may be touched."""
+    coupled: bool
+    """Whether the partner is near."""
+    arrays: tuple[Any, ...]
+    numbers: tuple[Any, ...]
+    parts: Any
+    body: Any
+
+
+def set_status(status: Any, idle: bool = False) -> None:
+    """Makes the status of a launch anew; `idle`: of one that does nothing."""
+    fresh = np.zeros(4, dtype=np.int32)
+    fresh[[kernels.AT_RIM, kernels.STOP]] = idle
+    status.from_numpy(fresh)
+
+
 def ground_plane(friction: float) -> Plane:
     """The half-space z < 0."""
     return Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), "coulomb", friction)
@@ -218,7 +246,8 @@ class Simulation:
         self.real = ti.f32 if precision == "float32" else ti.f64
         self.tolerance = float(np.finfo(precision).eps)
         self._upload(state)
-        self._launch(1, 1.0, np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64), idle=True)  # compiles
+        nowhere = np.zeros(3, dtype=np.int64), np.ones(3, dtype=np.int64)
+        self._launch(self._begin(1, 1.0, *nowhere), idle=True)  # compiles
         self._look()
         self.compile_seconds = time.perf_counter() - started
 
@@ -277,13 +306,36 @@ class Simulation:
 
         The length of the steps does not depend on `span`.
         """
-        if self.collider is not None:
-            until = min([until, *(t for t in self.collider.times if self.time + INSTANT < t < until - INSTANT)])
-        low, high, speed, wave_speed = self._look()
+        until = self.next_stop(until)
         left = until - self.time
-        dt = min(self.time_step(), self._partner_step())
+        dt = self.longest_step()
         steps = max(math.ceil(left / dt * (1 - 1e-9)), 1)
         dt = left / steps
+        at_once = min(steps, STEPS_A_LOOK, max(math.ceil(span / dt), 1) if span < left else steps)
+        launch = self.prepare(at_once, dt)
+        done = self._launch(launch)
+        self.close(launch, done, until if done == steps else until - (steps - done) * dt)
+
+    def next_stop(self, until: float) -> float:
+        """`until` [s], or the collider's next time where that is sooner."""
+        if self.collider is not None:
+            until = min([until, *(t for t in self.collider.times if self.time + INSTANT < t < until - INSTANT)])
+        return until
+
+    def longest_step(self) -> float:
+        """The longest step that it and its partner allow now [s]."""
+        return min(self.time_step(), self._partner_step())
+
+    def prepare(self, steps: int, dt: float, touching: bool = False) -> Launch:
+        """What a launch of some steps of `dt` [s] works on; with a partner near they may be fewer.
+
+        Args:
+            touching: something beside what it knows of is in touch with the object, which so does not fall freely.
+
+        Raises:
+            RunError: `dt` is above the limit, or the object has come apart.
+        """
+        low, high, speed, wave_speed = self._look()
         cfl = (wave_speed + speed) * dt / self.dx
         self.cfl = max(self.cfl, cfl)
         if cfl > UNSTABLE_CFL:
@@ -295,24 +347,26 @@ class Simulation:
                     "or null to have it chosen"
                 )
             )
-        at_once = min(steps, STEPS_A_LOOK, max(math.ceil(span / dt), 1) if span < left else steps)
-        ahead = at_once * dt
+        ahead = steps * dt
         path = (speed + float(np.linalg.norm(self.gravity)) * ahead) * ahead
         origin, shape = self._fit_window(low, high, path)
-        near, touching = self._in_reach(low, high, path), self._in_reach(low, high, 0.0)
-        given = self.collider_impulse
+        near, touching = self._in_reach(low, high, path), touching or self._in_reach(low, high, 0.0)
         if self._partner_near(low, high, path, ahead):
-            at_once = min(at_once, max(round(EXCHANGE / dt), 1))
-            done = self._launch(at_once, dt, origin, shape, near=True, touching=True, coupled=True)
-        else:
-            done = self._launch(at_once, dt, origin, shape, near=near, touching=touching)
+            steps = min(steps, max(round(EXCHANGE / dt), 1))
+            return self._begin(steps, dt, origin, shape, near=True, touching=True, coupled=True)
+        return self._begin(steps, dt, origin, shape, near=near, touching=touching)
+
+    def close(self, launch: Launch, done: int, now: float) -> None:
+        """Counts the steps done of a launch that is over, which has led to the time `now` [s]."""
+        given = self._finish(launch)
         if self.partner is not None:
-            self.partner.advance(done * dt)
+            self.partner.advance(done * launch.dt)
         self.steps += done
-        self.dt_least, self.dt_most = min(self.dt_least, dt), max(self.dt_most, dt)
-        began, self.time = self.time, until if done == steps else until - (steps - done) * dt
-        if (self.collider_impulse != given).any():
-            self.pushes = joined([*self.pushes, Push(began, self.time, self.collider_impulse - given)])
+        self.dt_least, self.dt_most = min(self.dt_least, launch.dt), max(self.dt_most, launch.dt)
+        began, self.time = self.time, now
+        if given.any():
+            self.collider_impulse = self.collider_impulse + given
+            self.pushes = joined([*self.pushes, Push(began, now, given)])
 
     def time_step(self) -> float:
         """The longest step that it would take now [s]: `dt`, or `fraction` of the limit."""
@@ -434,14 +488,11 @@ class Simulation:
         reach = 0.5 * self.size * self.dx + path + 2 * fastest(self.partner) * seconds
         return self.coupling.choose(low, high, reach)
 
-    def _launch(
+    def _begin(
         self, steps: int, dt: float, origin: NDArray[np.int64], shape: NDArray[np.int64], *, near: bool = False,
-        touching: bool = False, idle: bool = False, coupled: bool = False,
-    ) -> int:  # fmt: skip
-        """Up to `steps` steps in this window, none if `idle`: how many were done. `coupled`: with the partner."""
-        status = np.zeros(4, dtype=np.int32)
-        status[[kernels.AT_RIM, kernels.STOP]] = idle
-        self.status.from_numpy(status)
+        touching: bool = False, coupled: bool = False,
+    ) -> Launch:  # fmt: skip
+        """A launch in this window; `coupled`: with the partner."""
         # Symplectic Euler carries v half a step late. Where gravity alone moves the centre of mass, taking that half
         # step out of each move lets free flight follow its parabola to round-off.
         drift = np.zeros(3) if touching else 0.5 * dt * dt * self.gravity
@@ -453,28 +504,56 @@ class Simulation:
         )  # fmt: skip
         arrays = (self.x, self.v, self.c, self.f, self.total, self.hardening, self.play, self.mass, self.volume,
                   self.region_of, self.parameters, self.grid, self.slope, self.plane_rows, capsules,
-                  self.touched, self.given, self.status)  # fmt: skip
+                  self.touched, self.given)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
+        return Launch(steps, dt, origin, shape, near, coupled, arrays, numbers, parts, body)
+
+    def _launch(self, launch: Launch, *, idle: bool = False) -> int:
+        """Does its steps, none if `idle`: how many were done."""
+        set_status(self.status, idle)
         if self.serial:
-            how = (steps, int(near), self.damped, self.size, self.models)
-            kernels.advance_serial(*how, *arrays, *numbers, coupled, parts, body)
+            how = (launch.steps, int(launch.near), self.damped, self.size, self.models)
+            kernels.advance_serial(*how, *launch.arrays, self.status, *launch.numbers, launch.coupled, launch.parts,
+                                   launch.body)  # fmt: skip
         else:
             self.given.fill(0.0)
-            shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
-            for number in range(steps):
-                number = 0 if coupled else number  # then the capsules move on with each step
-                how = (number, int(near), shares, copies, self.on_gpu, self.damped, self.size, self.models)
-                kernels.begin_step(*how, *arrays, *numbers)
-                if coupled:
-                    exchange(copies, self.on_gpu, self.grid, self.touched, capsules, parts, body, dt, self.dx,
-                             numbers[0], numbers[-1])  # fmt: skip
-                kernels.end_step(*how, *arrays, *numbers)
-        if coupled:
-            self.collider_impulse = self.collider_impulse + self.coupling.end(origin * self.dx)
-        elif near:
-            self.collider_impulse = self.collider_impulse + self.given.to_numpy()[:, :3].sum(axis=0)
-        status = self.status.to_numpy()
+            for number in range(launch.steps):
+                self.begin_step(launch, number, self.status)
+                self.end_step(launch, number, self.status)
+        return self.check_status(self.status)
+
+    def begin_step(self, launch: Launch, number: int, status: Any) -> None:
+        """p2g of step `number`, and the exchange with the partner."""
+        how = self._how(launch, number)
+        kernels.begin_step(*how, *launch.arrays, status, *launch.numbers)
+        if launch.coupled:
+            copies, capsules = how[3], launch.arrays[-3]
+            exchange(copies, self.on_gpu, self.grid, self.touched, capsules, launch.parts, launch.body, launch.dt,
+                     self.dx, launch.numbers[0], launch.numbers[-1])  # fmt: skip
+
+    def end_step(self, launch: Launch, number: int, status: Any, last: bool = True) -> None:
+        """The grid's update and g2p; `last`: of all objects that share the status."""
+        kernels.end_step(int(last), *self._how(launch, number), *launch.arrays, status, *launch.numbers)
+
+    def _how(self, launch: Launch, number: int) -> tuple[Any, ...]:
+        shares, copies = (len(self.masses), 1) if self.on_gpu else (self.threads, self.threads)
+        number = 0 if launch.coupled else number  # then the capsules move on with each step
+        return number, int(launch.near), shares, copies, self.on_gpu, self.damped, self.size, self.models
+
+    def _finish(self, launch: Launch) -> Array:
+        """What capsules gave in a launch that is over [N s], (3,)."""
+        if launch.coupled:
+            return self.coupling.end(launch.origin * self.dx)
+        return self.given.to_numpy()[:, :3].sum(axis=0) if launch.near else np.zeros(3)
+
+    def check_status(self, status: Any) -> int:
+        """How many steps of a launch were done.
+
+        Raises:
+            RunError: a particle of this object was inverted.
+        """
+        status = status.to_numpy()
         done = int(status[kernels.DONE])
         if status[kernels.INVERTED]:
             self.steps += done

@@ -7,8 +7,8 @@ import pytest
 
 from hoi.config.validate import to_config
 from hoi.data import Contact
-from hoi.errors import RunError
-from hoi.method.object_motion import at_rest, free_motion
+from hoi.errors import InputError, RunError
+from hoi.method.object_motion import World, at_rest, free_motion, joint_motion
 from hoi.method.resimulation import resimulate
 from hoi.plan import make_plan
 from hoi.record import read
@@ -64,6 +64,22 @@ def test_free_fall_by_mpm(scene_of, spline):
     np.testing.assert_allclose(trajectory.com, expected, atol=1e-4)
     assert len(states) == scene.frames and trajectory.phase[2:] == ("flight",) * (scene.frames - 2)
     assert trajectory.deformation_gradient is not None
+
+
+def test_objects_that_move_together(scene_of):
+    """One of two is thrown at the other, which lies still until it is hit; their momentum is that of the first."""
+    config, scene = scene_of(COARSE, VACUUM, "scene.placement.position=[0,2,3]", "scene.placement.velocity=[4,0,0]")
+    thing, still = scene.object, np.zeros(3)
+    target = replace(thing, particles=thing.particles + np.array([2.5 * thing.size, 0, 0]), velocity=still)
+    worlds = [World(each, scene.frames, scene.fps, still) for each in (thing, target)]
+    move = config.stage.object.joint_mover(thing.size, 1, "cpu")
+    (first, _), (second, _) = run_stage(lambda stage: joint_motion(worlds, move, stage, held=[False, True]))
+    assert first.phase[1] == "flight" and second.phase[1] == "rest" and "mpm" in second.phase
+    assert second.com_velocity[-1, 0] > 2 > first.com_velocity[-1, 0]
+    np.testing.assert_allclose(first.com_velocity + second.com_velocity, [[4, 0, 0]] * scene.frames, atol=1e-3)
+    assert second.energy.shape == (scene.frames, 3)
+    with pytest.raises(InputError, match="must have one fps"):
+        run_stage(lambda stage: joint_motion([worlds[0], replace(worlds[1], fps=7.0)], move, stage))
 
 
 def test_what_a_walk_left_out_is_reported(scene_of):

@@ -17,9 +17,9 @@ from hoi.stages.contract import Draft, ObjectMover, Requirements, option
 if TYPE_CHECKING:
     from hoi.config import Config
     from hoi.data import Material, ObjectState, Scene, SceneObject
-    from hoi.method.object_motion import Advanced, Mover, World
+    from hoi.method.object_motion import Advanced, JointMover, Mover, World
     from hoi.mpm.collider import Collider, Partner
-    from hoi.mpm.phases import Tally
+    from hoi.mpm.phases import Tally, Walk
     from hoi.reports import Stage
 
 
@@ -162,6 +162,12 @@ class MPM(ObjectMover):
 
         return partial(advance, conf=self, size=object_size, threads=threads, device=device)
 
+    def joint_mover(self, object_size: float, threads: int, device: str) -> JointMover:
+        """Moves several objects that may touch, on cells that fit one of this size [m]."""
+        from functools import partial
+
+        return partial(advance_together, conf=self, size=object_size, threads=threads, device=device)
+
 
 def advance(
     scene: Scene | World,
@@ -183,17 +189,98 @@ def advance(
     """
     import numpy as np
 
-    from hoi.method.object_motion import Advanced
+    times = (np.asarray(stops) - start) / scene.fps
+    walk = _walk(scene, state, start, float(times[-1]), collider, conf=conf, size=size, threads=threads, device=device)
+    reached = []
+    for time in times:
+        try:
+            reached.append(walk.advance(float(time)))
+        except RunError as error:
+            raise RunError(f"object at frame {start + walk.time * scene.fps:.2f}: {error}") from error
+        stage.advance()
+    return _advanced(scene, walk, reached, start, stage)
+
+
+def advance_together(
+    worlds: Sequence[World],
+    states: Sequence[ObjectState],
+    start: float,
+    stops: Sequence[float],
+    stage: Stage,
+    colliders: Sequence[Collider | Partner | None] = (),
+    held: Sequence[bool] = (),
+    *,
+    conf: MPM,
+    size: float,
+    threads: int,
+    device: str,
+) -> tuple[Advanced, ...]:
+    """The walks of several objects; see `hoi.method.object_motion.JointMover`.
+
+    Args:
+        size: whose cells all of them share [m].
+
+    Raises:
+        InputError: the worlds have not one rate and one gravity.
+        RunError: a simulation cannot go on; says at which frame.
+    """
+    import numpy as np
+
+    from hoi.errors import InputError
+    from hoi.mpm.bodies import Bodies
+
+    first, count = worlds[0], len(worlds)
+    for name in ("fps", "gravity"):
+        for other in worlds[1:]:
+            if not np.array_equal(getattr(other, name), getattr(first, name)):
+                raise InputError(f"objects that move together must have one {name}, got {getattr(other, name)} beside "
+                                 f"{getattr(first, name)}")  # fmt: skip
+    times = (np.asarray(stops) - start) / first.fps
+    walks = [
+        _walk(world, state, start, float(times[-1]), collider, still, conf=conf, size=size, threads=threads,
+              device=device)
+        for world, state, collider, still in zip(
+            worlds, states, colliders or [None] * count, held or [False] * count, strict=True
+        )
+    ]  # fmt: skip
+    rubs = np.array([world.thing.material.ground_friction for world in worlds])
+    bodies = Bodies(walks, np.sqrt(np.outer(rubs, rubs)), conf.cell(size))
+    reached = []
+    for time in times:
+        try:
+            reached.append(bodies.advance(float(time)))
+        except RunError as error:
+            now = min(walk.time for walk in walks)
+            raise RunError(f"objects at frame {start + now * first.fps:.2f}: {error}") from error
+        stage.advance()
+    return tuple(
+        _advanced(world, walk, [each[i] for each in reached], start, stage)
+        for i, (world, walk) in enumerate(zip(worlds, walks, strict=True))
+    )
+
+
+def _walk(
+    scene: Scene | World,
+    state: ObjectState,
+    start: float,
+    end: float,
+    collider: Collider | Partner | None,
+    held: bool = False,
+    *,
+    conf: MPM,
+    size: float,
+    threads: int,
+    device: str,
+) -> Walk:
+    """The walk of an object from the frame `start` on, for `end` [s]."""
     from hoi.mpm.boundary import plane_depth
-    from hoi.mpm.collider import Collider, joined
+    from hoi.mpm.collider import Collider
     from hoi.mpm.damping import damping, rebound_of
     from hoi.mpm.phases import Surroundings, Walk, lowest_frequency, reach_of
     from hoi.mpm.rigid import air_drag
     from hoi.mpm.solver import Simulation
 
-    thing, dx = scene.thing, conf.cell(size)
-    planes = scene.planes
-    times = (np.asarray(stops) - start) / scene.fps
+    thing, dx, planes = scene.thing, conf.cell(size), scene.planes
     if isinstance(collider, Collider):
         collider = replace(collider, times=collider.times - start / scene.fps)
 
@@ -222,11 +309,11 @@ def advance(
     width = 3 if conf.spline is Spline.quadratic else 4  # nodes of a stencil along an axis
     reaches = [reach_of(plane, dx, width, plane_depth(thing.materials)) for plane in planes]
     whole = all(LAWS[material.model].rigid for material in thing.materials)
-    walk = Walk(
+    return Walk(
         state,
         thing.masses,
         simulation,
-        end=float(times[-1]),
+        end=end,
         gravity=scene.gravity,
         surroundings=Surroundings(planes, reaches, collider, 0.5 * width * math.sqrt(3) * dx),
         size=thing.size,
@@ -236,23 +323,27 @@ def advance(
         else None,
         tolerance=conf.vibration_tolerance if conf.phases else None,
         drag=air_drag(thing.particles, float(thing.masses.sum()), conf.air_density, conf.drag_coefficient),
+        held=held,
     )
-    states, phases = [], []
-    for time in times:
-        try:
-            reached, phase = walk.advance(float(time))
-        except RunError as error:
-            raise RunError(f"object at frame {start + walk.time * scene.fps:.2f}: {error}") from error
-        states.append(reached)
-        phases.append(phase)
-        stage.advance()
+
+
+def _advanced(
+    scene: Scene | World, walk: Walk, reached: Sequence[tuple[ObjectState, str]], start: float, stage: Stage
+) -> Advanced:
+    """What a walk that is over has come to, its states and phases at the stops."""
+    import numpy as np
+
+    from hoi.method.object_motion import Advanced, rigid_energy
+    from hoi.mpm.collider import joined
+
+    states, phases = zip(*reached, strict=True)
     tally = walk.finish()
     _count(stage.numbers, tally)
-    at_bounds = max(_clamped(thing, reached) for reached in states)
+    at_bounds = max(_clamped(scene.thing, state) for state in states)
     stage.numbers["clamped"] = max(stage.numbers.get("clamped", 0.0), at_bounds)
-    energy = [walk.simulation.energies(reached) for reached in states]
+    energy = [walk.simulation.energies(s) if walk.simulated else rigid_energy(scene, s) for s in states]
     pushes = tuple(joined(tally.pushes, start / scene.fps))
-    return Advanced(tuple(states), np.array(energy).reshape(-1, 3), tuple(phases), pushes)
+    return Advanced(states, np.array(energy).reshape(-1, 3), phases, pushes)
 
 
 def _clamped(thing: SceneObject, state: ObjectState) -> float:
