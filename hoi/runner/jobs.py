@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from hoi.body.parts import is_with, struck_together
+from hoi.body.parts import is_with, struck_together, struck_with
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import posed_means
 from hoi.config import Config, Device
@@ -251,7 +251,12 @@ def struck(config: Config, plan: Plan, state: State) -> str:
         limb = "as expected" if is_with(wanted, push.joint, push.part) else f"{wanted} was expected"
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
-    if plan.implementation("contact") != "collider" or state.trajectory is None:
+    later = [
+        f"{struck_with(each)} at frame {each.frame:.2f}, v_post {float(np.linalg.norm(each.v_post)):.2f} m/s"
+        for each in search.given[1:]
+    ]
+    what = "; then ".join([what, *later])
+    if plan.implementation("contact") != "collider" or state.trajectory is None or later:
         return what
     left = push.frame + push.duration * config.scene.fps
     after = state.trajectory.com_velocity[min(math.ceil(left), len(state.trajectory.com_velocity) - 1)]
