@@ -188,6 +188,9 @@ class Act:
     """Unit vector along which it is to push the object, (3,); empty: along its own strike."""
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is [-]."""
+    flesh: float = math.nan
+    """What the limb leaves of the material's restitution [-]: 0 gives way, as one that stops a ball; NaN: the contact
+    model's."""
 
 
 @dataclass(frozen=True)

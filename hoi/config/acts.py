@@ -90,6 +90,8 @@ def check_acts(acts: Sequence[ActConf], seconds: float, require: Requirements) -
         rule = "null or a list of 3 numbers, not all 0"
         own(sends is None or (len(sends) == 3 and any(sends)), "sends", sends, rule)
         own(0.25 <= act.tempo <= 4, "tempo", act.tempo, "in [0.25, 4]")
+        own(act.flesh is None or 0 <= act.flesh <= 1, "flesh", act.flesh, "in [0, 1], or null")
+        own(act.flesh is None or limb is not None, "flesh", act.flesh, "null: nothing strikes")
         own(act.tempo == 1 or limb is not None, "tempo", act.tempo, "1: nothing strikes")
     for (first, one), (second, other) in combinations(enumerate(acts), 2):
         if one.start < other.end and other.start < one.end and bool(one.parts) == bool(other.parts):

@@ -58,6 +58,9 @@ class ActConf:
     strike."""
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is, beside scene.tempo [-]."""
+    flesh: float | None = None
+    """What the limb leaves of the material's restitution: 0 gives way, as a foot that stops a ball [-]; null:
+    stage.contact.flesh."""
 
 
 @dataclass

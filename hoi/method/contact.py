@@ -22,6 +22,8 @@ from hoi.mpm.state import centre_of_mass
 
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
+AGAIN = 0.1
+"""No limb strikes twice in so short a time: its next skin and the one before it are one blow [s]."""
 INSTANT = 0.01
 """Half the time over which the velocity at an instant is taken [frames]."""
 
@@ -130,7 +132,7 @@ def find_contact(
             meet = widened or _overlap(*box_of(limb), *box_of(object_now), 0.0)
             if found.fraction >= tau and found.point is not None and meet:
                 touching[joint] = found
-        if holding is not None and all(chain_of(joint) != holding for joint in touching):
+        if frame > since + AGAIN * motion.fps and all(chain_of(joint) != holding for joint in touching):
             holding = None
         touching = {joint: found for joint, found in touching.items() if chain_of(joint) != holding}
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):

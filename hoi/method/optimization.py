@@ -5,11 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from hoi.body.skeleton import LIMBS
 from hoi.body.skinning import stand_motion
 from hoi.data import Act, Contact, Motion, ObjectState, ObjectTrajectory, Plan, Scene, State, Target
 from hoi.errors import under
-from hoi.method.approach import SOONEST, approach, hastened
+from hoi.method.approach import SOONEST, SWING, approach, hastened
 from hoi.method.attraction import Batch, coordinate
 from hoi.method.hmsd import ScoreDistillation
 from hoi.method.object_motion import Mover, at_rest, free_motion
@@ -50,11 +49,8 @@ def targets_of(state: State) -> tuple[Target, ...]:
 
 
 def came_before(scene: Scene, state: State, number: int, last: Contact) -> bool:
-    """Whether the last contact is another limb's than that of the strike `number`, which is still to come."""
-    if not scene.strikes:
-        return False
-    soon = last.frame + SOONEST * scene.fps
-    return last.joint not in LIMBS[scene.strikes[number].strikes] and targets_of(state)[number].frame > soon
+    """Whether the last contact is not that of the strike `number`, which is still to come."""
+    return bool(scene.strikes) and targets_of(state)[number].frame > last.frame + SOONEST * scene.fps
 
 
 @dataclass
@@ -159,8 +155,8 @@ class Walk:
         found, last, begun, count = self.states[run], None, 0, 0
         for number, until in enumerate(ends):
             if number:
-                found = self._met_again(run, number, 0 if last is None else math.ceil(last.frame))
-            answered, aims = True, 1
+                found = self._met_again(run, number, last)
+            answered, aims, own = True, 1, model.of(scene.strikes[number] if scene.strikes else None)
             while self.plan.keeps("contact") and answered and count < most:
                 motion, trajectory = found.motion, found.trajectory
                 assert motion is not None and trajectory is not None
@@ -172,23 +168,24 @@ class Walk:
                 answered, push = search.push is not None, search.push
                 if push is not None:
                     with stages.stage(numbered("resimulate", begun), scene.frames - int(push.frame)) as stage:
-                        now, states = model.answer(scene, now, states, self.move, stage)
+                        now, states = own.answer(scene, now, states, self.move, stage)
                     assert now.contact is not None
                     last, found = now.contact.push, replace(now, contact=merged(earlier, now.contact))
                     self.states[run], count = found, count + 1
                     answered = not model.lasting
                     if last is not None and aims < MOST_AIMS and came_before(scene, found, number, last):
-                        found, aims, answered = self._met_again(run, number, math.ceil(last.frame)), aims + 1, True
+                        found, aims, answered = self._met_again(run, number, last), aims + 1, True
                 begun += 1
         return found
 
-    def _met_again(self, run: int, number: int, since: int) -> State:
-        """The state with a strike where the object will be, all up to frame `since` as it was."""
+    def _met_again(self, run: int, number: int, last: Contact | None) -> State:
+        """The state with a strike where the object will be; until the last contact and its swing are over, as it was."""
         scene, state, options = self.batch.scenes[run], self.states[run], self.config.stage
         motion, trajectory, act = state.motion, state.trajectory, scene.strikes[number]
         assert motion is not None and trajectory is not None
         before = targets_of(state)[:number]
-        since = min(max(since, *(aim.frame + 1 for aim in before)), scene.frames - 1) if before else since
+        over = [aim.frame + 1 for aim in before] + ([] if last is None else [last.frame])
+        since = min(math.ceil(max(over) + SWING * scene.fps), scene.frames - 1)
         motion, target = self._told(scene, motion, act)
         if "approach" in self.plan.uses:
             moves = self.config.scene.approach == "step"

@@ -18,6 +18,8 @@ from hoi.method.attraction import carried_strike
 
 PACE = 1.5
 """How fast people go to where the next strike has to be, without counting it as far away [m/s]."""
+FASTEST = 3.0
+"""How fast they go there at most, on average: what they cannot reach they miss [m/s]."""
 SETTLING = 0.3
 """In how long a motion goes over from what it was to what it becomes [s]."""
 MOST_CONTACTS = 32
@@ -57,7 +59,9 @@ def placed_next(
         )
         goal = carried_strike(scene, motion, trajectory, target)[meeting]
         now = joint_paths(scene.body, motion, frames=[meeting])[0, target.joint]
-        motion = bent(motion, since, meeting, 0.0, (goal - now) * [1.0, 1.0, 0.0])
+        way = (goal - now) * [1.0, 1.0, 0.0]
+        share = FASTEST * (meeting - since) / fps / max(float(np.linalg.norm(way)), 1e-9)
+        motion = bent(motion, since, meeting, 0.0, way * min(share, 1.0))
     return motion, target
 
 

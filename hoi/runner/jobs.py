@@ -35,6 +35,9 @@ from hoi.runner.shelf import Shelf
 if TYPE_CHECKING:
     from hoi.render.encode import Video
 
+LATE = 0.25
+"""A contact so much before or after t* is that of another strike [s]."""
+
 
 @dataclass(frozen=True)
 class Job:
@@ -218,7 +221,19 @@ def told(failure: Exception) -> str:
 def outcome(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:
     """What happened, in one sentence."""
     stopped = next((f"; stage 3 {r.notes[-1]}" for r in reports if "stopped" in r.numbers), "")
-    return f"{reached(config, plan, state, reports)}{stopped}"
+    return f"{reached(config, plan, state, reports)}{missed(state, config.scene.fps)}{stopped}"
+
+
+def missed(state: State, fps: float) -> str:
+    """Which strikes after the first did not meet the object, where contacts were looked for."""
+    given = () if state.contact is None else state.contact.given
+    said = ""
+    for target in state.later if state.contact is not None else ():
+        limbs = [set(limb) for limb in LIMBS.values() if target.joint in limb]
+        near = [each for each in given if abs(each.frame - target.frame) <= LATE * fps]
+        if not any(each.joint in limb for each in near for limb in limbs):
+            said += f"; {JOINT_NAMES[target.joint]} did not meet the object at frame {target.frame}"
+    return said
 
 
 def reached(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:

@@ -60,6 +60,7 @@ def acts_of(conf: SceneConf) -> tuple[Act, ...]:
             at=math.nan if act.at is None else act.at,
             sends=tuple((np.array(act.sends) / np.linalg.norm(act.sends)).tolist()) if act.sends else (),
             tempo=act.tempo,
+            flesh=math.nan if act.flesh is None else act.flesh,
         )
         for act in conf.acts
     )

@@ -208,6 +208,10 @@ class ContactModel(Option):
         """What it is where the object is moved so."""
         return self
 
+    def of(self, act: Act | None) -> ContactModel:
+        """What it is for the contacts of an act's strike."""
+        return self
+
     def search(
         self,
         scene: Scene,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -14,7 +14,7 @@ from hoi.stages.contract import ContactModel, Draft, Requirements
 
 if TYPE_CHECKING:
     from hoi.config import Config
-    from hoi.data import Contact, ContactSearch, Motion, ObjectTrajectory, Scene
+    from hoi.data import Act, Contact, ContactSearch, Motion, ObjectTrajectory, Scene
     from hoi.method.reaction import Muscles
     from hoi.reports import Stage
 
@@ -115,6 +115,9 @@ class Detection(ContactModel):
             last=last,
             until=until,
         )
+
+    def of(self, act: Act | None) -> Detection:
+        return self if act is None or math.isnan(act.flesh) else replace(self, flesh=act.flesh)
 
     @property
     def muscles(self) -> Muscles:
