@@ -179,7 +179,7 @@ class Walk:
         return found
 
     def _met_again(self, run: int, number: int, last: Contact | None) -> State:
-        """The state with a strike where the object will be; until the last contact and its swing are over, as it was."""
+        """The state with a strike where the object will be; as it was until the last contact and its swing are over."""
         scene, state, options = self.batch.scenes[run], self.states[run], self.config.stage
         motion, trajectory, act = state.motion, state.trajectory, scene.strikes[number]
         assert motion is not None and trajectory is not None
