@@ -200,7 +200,7 @@ def delay_in(act: Act, height: float, heights: Array, target: Target, fps: float
     cost = np.abs(heights - height) + (WAITING / fps) * np.abs(frames - meeting) + (0.0 if far is None else far)
     first = max(round(act.start * fps), round(SOONEST * fps))
     cost[: first + 1], cost[min(round(act.end * fps), len(heights) - 1) + 1 :] = np.inf, np.inf
-    return int(cost.argmin()) - meeting
+    return int(cost.argmin()) - meeting if np.isfinite(cost).any() else 0
 
 
 def retimed(motion: Motion, since: int, frame: int, to: int) -> Motion:

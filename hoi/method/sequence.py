@@ -20,6 +20,8 @@ PACE = 1.5
 """How fast people go to where the next strike has to be, without counting it as far away [m/s]."""
 FASTEST = 3.0
 """How fast they go there at most, on average: what they cannot reach they miss [m/s]."""
+HASTE = 1.5
+"""How many times as fast as it was a motion comes to its next strike at most [-]."""
 SETTLING = 0.3
 """In how long a motion goes over from what it was to what it becomes [s]."""
 MOST_CONTACTS = 32
@@ -44,7 +46,8 @@ def placed_next(
     struck = joint_paths(scene.body, motion, frames=[target.meeting_frame(frames)])[0, target.joint]
     there = np.arange(frames) / fps - since / fps - SOONEST  # time to get there
     far = np.linalg.norm(trajectory.com[:, :2] - struck[:2], axis=-1) - PACE * there
-    far = np.where(there > 0, np.maximum(far, 0.0), np.inf)
+    in_time = (there > 0) & (np.arange(frames) - since >= (target.meeting_frame(frames) - since) / HASTE)
+    far = np.where(in_time, np.maximum(far, 0.0), np.inf)
     later = delay_in(act, float(struck[2]), trajectory.com[:, 2], target, fps, far)
     motion, target = (
         retimed(motion, since, target.frame, target.frame + later),
