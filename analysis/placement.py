@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from omegaconf import OmegaConf
 
 from hoi.config.compose import config_of
 from hoi.files import CONF
@@ -39,7 +40,9 @@ ALWAYS = ("render=none", "stage/refine=none")
 
 
 def scenes() -> list[str]:
-    return sorted(file.stem for file in (CONF / "scene").glob("*.yaml"))
+    """Those of one strike."""
+    files = (CONF / "scene").glob("*.yaml")
+    return sorted(file.stem for file in files if "acts" not in OmegaConf.load(file).scene)
 
 
 def measure(names: Sequence[str], seeds: Sequence[int], overrides: Sequence[str] = ()) -> pd.DataFrame:

@@ -171,6 +171,29 @@ class SceneObject:
 
 
 @dataclass(frozen=True)
+class Act:
+    """A sentence of a timeline: what a person does from when to when."""
+
+    prompt: str
+    start: float
+    end: float
+    """[s]"""
+    parts: tuple[str, ...] = ()
+    """Of `hoi.motion.features.PARTS`, those that it moves; empty: all that no other act of the time moves."""
+    strikes: str = ""
+    """The limb that strikes the object; empty where none does."""
+    at: float = math.nan
+    """t* [s]; NaN: when that limb is fastest."""
+    sends: tuple[float, ...] = ()
+    """Unit vector along which it is to push the object, (3,); empty: along its own strike."""
+    tempo: float = 1.0
+    """How many times as fast as the motion prior's the strike is [-]."""
+    flesh: float = math.nan
+    """What the limb leaves of the material's restitution [-]: 0 gives way, as one that stops a ball; NaN: the contact
+    model's."""
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything fixed before the first stage."""
 
@@ -188,6 +211,13 @@ class Scene:
     """What the object cannot enter: the ground first, then walls."""
     setting: str = "plain"
     """What the ground looks like, see `hoi.render.places`."""
+    acts: tuple[Act, ...] = ()
+    """The person's timeline; empty: `motion_prompt` from the first frame to the last."""
+
+    @property
+    def strikes(self) -> tuple[Act, ...]:
+        """The acts that strike the object, in the order of time."""
+        return tuple(sorted((act for act in self.acts if act.strikes), key=lambda act: act.start))
 
     @property
     def thing(self) -> SceneObject:
@@ -297,6 +327,8 @@ class Target:
     """Those that push together, j* among them; empty where j* strikes alone."""
     hold: int = 0
     """How long after t* they stay on the object [frames]."""
+    way: tuple[float, ...] = ()
+    """Unit vector along which j* is to push, (3,): it meets the object's other side; empty: along its own strike."""
 
     @property
     def striking(self) -> tuple[int, ...]:
@@ -381,6 +413,11 @@ class ContactSearch:
         """The contact that gave an impulse; None when nothing did."""
         return next((contact for contact in self.contacts if contact.v_in > 0), None)
 
+    @property
+    def given(self) -> tuple[Contact, ...]:
+        """The contacts that gave an impulse, in the order of time: `push` is the first."""
+        return tuple(contact for contact in self.contacts if contact.v_in > 0 and contact.impulse.any())
+
     def with_push(self, contact: Contact, pushes: tuple[Push, ...] = ()) -> "ContactSearch":
         """The same with that contact in the place of its `push`."""
         contacts = tuple(contact if each is self.push else each for each in self.contacts)
@@ -395,6 +432,8 @@ class State:
     trajectory: ObjectTrajectory | None = None
     target: Target | None = None
     contact: ContactSearch | None = None
+    later: tuple[Target, ...] = ()
+    """Of the strikes after the first, in the order of time."""
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,12 @@ def _missing(config: Config) -> list[Missing]:
 def _scene_checks(config: Config, materials: tuple[Material, ...]) -> list[Check]:
     """What is beside the ground and the object's own material."""
     checks = []
+    striking = sorted((act for act in config.scene.acts if act.strikes), key=lambda act: act.start)
+    if len(striking) > 1:
+        said = [f"{act.strikes} is aimed with what the object does from {act.start:g} s on" for act in striking[1:]]
+        first = f"{striking[0].strikes} is aimed and answered as alone"
+        detail = "; then ".join([first, *said]) + "; each answered before the next, all before that as it was"
+        checks.append(Check("order", f"{len(striking)} strikes", detail))
     if config.scene.planes or not config.scene.ground:
         walls = config.scene.planes or []
         names = ["the ground"] if config.scene.ground else []

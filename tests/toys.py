@@ -60,7 +60,7 @@ class ToyMotion(Toy, MotionSource):
         noises = [np.random.default_rng(seed).normal(0, 0.1, still.body_pose.shape) for seed in seeds]
         return [replace(still, body_pose=(still.body_pose + noise).astype(np.float32)) for noise in noises]
 
-    def target(self, scene, motion, conf):
+    def target(self, scene, motion, conf, act=None):
         self.note("target")
         return Target(JOINT, FRAME, "scene")
 
@@ -77,7 +77,7 @@ class ToyAttraction(Toy, Attraction):
 class ToyContact(Toy, ContactModel):
     v_in: float = 1.0
 
-    def search(self, scene, motion, trajectory, together=()):
+    def search(self, scene, motion, trajectory, together=(), last=None, until=np.inf):
         self.note("search")
         zero, ahead = np.zeros(3), np.array([0.0, 1.0, 0.0])
         contact = Contact(1.5, JOINT, 0.5, zero, ahead, ahead, zero, self.v_in, ahead, ahead, 0.0)
@@ -86,7 +86,8 @@ class ToyContact(Toy, ContactModel):
     def answer(self, scene, state, restarts, move, stage):
         """The object is 1 m further on."""
         self.note("answer", len(restarts))
-        return replace(state, trajectory=replace(state.trajectory, com=state.trajectory.com + np.array([0, 1, 0])))
+        farther = replace(state.trajectory, com=state.trajectory.com + np.array([0, 1, 0]))
+        return replace(state, trajectory=farther), restarts
 
 
 @dataclass

@@ -51,6 +51,10 @@ _OWN = {"knee": ("knee",)}
 """Of limbs whose joints move skin that people call something else: what they call the limb's own."""
 
 
+TOGETHER = 1.0
+"""So soon after the push the object is still where it was freely, for the limbs that push together [frames]."""
+
+
 def is_with(limb: str, joint: int, part: str) -> bool:
     """Whether what touched is of that limb (`hoi.body.skeleton.LIMBS`): a hip or a shin is no knee.
 
@@ -73,6 +77,7 @@ def struck_with(contact: Contact) -> str:
 
 
 def struck_together(search: ContactSearch) -> str:
-    """What pushed the object, as people call it, and what pushed together with it: "left_hand and right_hand"."""
-    first = next(place for place, contact in enumerate(search.contacts) if contact is search.push)
-    return " and ".join(dict.fromkeys(struck_with(contact) for contact in search.contacts[first:]))
+    """What pushed the object first, as people call it, and what pushed with it: "left_hand and right_hand"."""
+    first, push = next((place, each) for place, each in enumerate(search.contacts) if each is search.push)
+    together = [each for each in search.contacts[first:] if each.frame <= push.frame + TOGETHER]
+    return " and ".join(dict.fromkeys(struck_with(contact) for contact in together))

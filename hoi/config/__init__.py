@@ -12,7 +12,7 @@ from omegaconf import MISSING
 
 from hoi.config.agents import BoxConf, HumanConf, MaterialConf, ObjectConf, RegionConf
 from hoi.config.choices import Ablation, Approach, Device, HumanKind, MaterialModel, ObjectKind, PlaneContact
-from hoi.config.scene import PlacementConf, PlaneConf, SceneConf
+from hoi.config.scene import ActConf, PlacementConf, PlaneConf, SceneConf
 from hoi.files import CONF
 from hoi.stages import options
 from hoi.stages.contract import Attraction, ContactModel, MotionSource, ObjectMover, Option, Refinement, Renderer
@@ -22,6 +22,7 @@ __all__ = [
     "CONF",
     "SCHEMAS",
     "Ablation",
+    "ActConf",
     "Approach",
     "BoxConf",
     "Config",

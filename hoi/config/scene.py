@@ -1,6 +1,7 @@
 """Who does what to what, and where: placement, walls, prompts."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from omegaconf import MISSING
 
@@ -37,6 +38,32 @@ class PlaneConf:
 
 
 @dataclass
+class ActConf:
+    """A sentence of the person's timeline."""
+
+    prompt: str = MISSING
+    """What they do."""
+    start: float = MISSING
+    """From when [s] ..."""
+    end: float = MISSING
+    """... to when [s]."""
+    parts: list[str] = field(default_factory=list)
+    """Body parts that do it: left_arm, right_arm, legs, head, spine; empty: all that no other act of the time has."""
+    strikes: str | None = None
+    """The limb that strikes the object; auto: the one that the sentence names; null: none does."""
+    at: float | None = None
+    """t*: when it strikes [s]; null: when it is fastest, and the object comes."""
+    sends: list[float] | None = None
+    """Which way it pushes the object, a vector of any length: it meets the other side of it [-]; null: along the
+    strike."""
+    tempo: float = 1.0
+    """How many times as fast as the motion prior's the strike is, beside scene.tempo [-]."""
+    flesh: float | None = None
+    """What the limb leaves of the material's restitution: 0 gives way, as a foot that stops a ball [-]; null:
+    stage.contact.flesh."""
+
+
+@dataclass
 class SceneConf:
     """Who does what to what, and where."""
 
@@ -44,6 +71,9 @@ class SceneConf:
     """Of the folder and the row in tables."""
     motion_prompt: str = MISSING
     """p_motion: what the person does."""
+    acts: list[Any] = field(default_factory=list)
+    """The person's timeline: sentences with times, put together as one motion, each as `hoi.config.scene.ActConf`;
+    motion_prompt then only names it. Empty: motion_prompt from the first frame to the last."""
     scene_prompt: str = MISSING
     """p_scene, for the video prior."""
     negative_prompt: str = MISSING
@@ -67,6 +97,9 @@ class SceneConf:
     not move yet faces the object, within reach of it."""
     meeting_height: float | None = None
     """At which the strike waits to meet an object that rises or falls [m]; null: at which it ends by itself."""
+    contacts: int | None = None
+    """How many contacts that push are answered, one after the other; null: one, as in the paper, with acts all of them
+    up to T."""
     tempo: float = 1.0
     """How many times as fast as the motion prior's the strike is, by a time warp around t* [-]."""
     striking_limb: str | None = None

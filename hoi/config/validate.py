@@ -11,6 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.config import CONF, Config, HumanKind, MaterialConf, ObjectKind, PlaneContact
+from hoi.config.acts import check_acts, typed_act
 from hoi.errors import InputError
 from hoi.motion.sentence import limbs_in
 from hoi.stages.contract import Requirements
@@ -22,6 +23,7 @@ SAYS = "scene.motion_prompt names"
 LARGEST = 2**63 - 1
 """What a record's and a generator's numbers can hold."""
 MOST_SEEDS = 4096
+MOST_CONTACTS = 32
 
 
 def to_config(composed: DictConfig) -> Config:
@@ -69,7 +71,32 @@ def completed(composed: DictConfig) -> DictConfig:
     Raises:
         InputError: as `with_materials`, or the sentence names another limb than the one that was asked for.
     """
-    return with_limbs(with_materials(composed))
+    return with_limbs(with_acts(with_materials(composed)))
+
+
+def with_acts(composed: DictConfig) -> DictConfig:
+    """The same with whole acts, and with the limb that its sentence names for each one's `auto`; the first that strikes
+    is the scene's too, where that one is `auto`, and the sentences together are the scene's, where it has none.
+
+    Raises:
+        InputError: an act has a field that there is not, lacks one, or has a value of the wrong type.
+    """
+    if not composed.scene.acts:
+        return composed
+    composed = composed.copy()
+    scene = composed.scene
+    scene.acts = acts = [typed_act(act, f"scene.acts.{index}") for index, act in enumerate(scene.acts)]
+    if OmegaConf.is_missing(scene, "motion_prompt"):
+        scene.motion_prompt = ", then ".join(act.prompt for act in acts)
+    striking = sorted((act for act in acts if act.strikes), key=lambda act: act.start)
+    if striking and striking[0].strikes in LIMBS:
+        limb = striking[0].strikes
+        joint = limb if limb in JOINT_NAMES else JOINT_NAMES[LIMBS[limb][-1]]
+        values = {"striking_limb": limb, "expected_limb": limb, "contact_joint": joint}
+        for key in LIMB_KEYS:
+            if not OmegaConf.is_missing(scene, key) and scene[key] == AUTO:
+                scene[key] = values[key]
+    return composed
 
 
 def with_limbs(composed: DictConfig) -> DictConfig:
@@ -247,14 +274,23 @@ def validate(config: Config) -> list[str]:
         require(not known or scene.contact_joint in together, "scene.contact_joint", scene.contact_joint, rule)
     rule = "0 or more [s]" if together else "0: scene.striking_joints is null"
     require(scene.hold == 0 or (together is not None and scene.hold > 0), "scene.hold", scene.hold, rule)
+    count = scene.contacts
+    require(count is None or 1 <= count <= MOST_CONTACTS, "scene.contacts", count, f"in [1, {MOST_CONTACTS}], or null")
     require(0.25 <= scene.tempo <= 4, "scene.tempo", scene.tempo, "in [0.25, 4]")
+    if scene.fps > 0:
+        check_acts(scene.acts, scene.frames / scene.fps, require)
+    rule = "null: scene.acts say what strikes"
+    require(not (scene.acts and together), "scene.striking_joints", together, rule)
+    moved_by_file = getattr(stage.motion, "path", None) is not None
+    rule = "empty: stage.motion.init is file, whose motion has a time of its own"
+    require(not (scene.acts and moved_by_file), "scene.acts", f"{len(scene.acts)} acts", rule)
     last = scene.frames - 1
     require(0 <= scene.contact_frame <= last, "scene.contact_frame", scene.contact_frame, f"in [0, {last}]")
 
     for option in (stage.motion, stage.coordinate, stage.attraction, stage.contact, stage.object, stage.refine):
         option.check(config, require)
     config.render.check(config, require)
-    if not require.problems:
+    if not require.problems and not scene.acts:
         _check_sentence(config, require)
     return require.problems
 

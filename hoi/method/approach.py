@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 import roma
 import torch
+from scipy.interpolate import CubicHermiteSpline
 from scipy.special import erf
 
 from hoi.body.interpolate import interpolate_motion
 from hoi.body.kinematics import rotation_from_6d, rotation_to_6d
 from hoi.body.skeleton import CHAINS, chain_of
 from hoi.body.skinning import joint_paths
-from hoi.data import Array, Motion, ObjectTrajectory, Scene, Target
+from hoi.data import Act, Array, Motion, ObjectTrajectory, Scene, Target
 from hoi.method.attraction import ENDS, carried_push, carried_strike, pushed_face
 from hoi.method.push import depth_along, facing
 from hoi.method.scene_representation import check_apart, is_apart
@@ -36,10 +37,17 @@ STRETCH = 0.9
 """Whoever stands still stands where a limb so much stretched ends at the object [-]."""
 STRIKE = 0.15
 """Standard deviation of the time around t* in which a strike is faster or slower than the prior's [s]."""
+SWING = 0.3
+"""Time before and after t* in which a strike that is moved in time keeps its speed [s]."""
 
 
 def approach(
-    scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target, height: float | None = None
+    scene: Scene,
+    motion: Motion,
+    trajectory: ObjectTrajectory,
+    target: Target,
+    height: float | None = None,
+    act: Act | None = None,
 ) -> tuple[Motion, Target]:
     """The motion, from where its strike ends at the object's surface, at a time when the object is at its height.
 
@@ -48,6 +56,7 @@ def approach(
 
     Args:
         height: at which an object that rises or falls is to be met [m]; None: where the strike ends by itself.
+        act: of a timeline, in whose time the strike is moved; the other acts keep theirs. None: the whole motion is.
 
     Raises:
         InputError: the person would start inside the object `BACK` away from it.
@@ -55,8 +64,13 @@ def approach(
     meeting = target.meeting_frame(scene.frames)
     if height is None:
         height = float(joint_paths(scene.body, motion, frames=[meeting])[0, list(target.striking), 2].mean())
-    later = delay(height, trajectory.com[:, 2], meeting, scene.fps)
-    motion, target, meeting = delayed(motion, later), replace(target, frame=target.frame + later), meeting + later
+    if act is None:
+        later = delay(height, trajectory.com[:, 2], meeting, scene.fps)
+        motion = delayed(motion, later)
+    else:
+        later = delay_in(act, height, trajectory.com[:, 2], target, scene.fps)
+        motion = retimed(motion, 0, target.frame, target.frame + later)
+    target, meeting = replace(target, frame=target.frame + later), meeting + later
     if is_still(joint_paths(scene.body, motion)[:, list(target.striking)]):
         there = within_reach(scene, motion, trajectory, target)
     elif target.joints:
@@ -171,6 +185,39 @@ def delay(height: float, heights: Array, meeting: int, fps: float) -> int:
     cost = np.abs(heights - height) + (WAITING / fps) * np.abs(frames - meeting)
     cost[: min(round(SOONEST * fps), len(heights) - 1)] = np.inf
     return int(cost.argmin()) - meeting
+
+
+def delay_in(act: Act, height: float, heights: Array, target: Target, fps: float, far: Array | None = None) -> int:
+    """As `delay`, for a strike that belongs in the time of its act, or at the act's own t*.
+
+    Args:
+        heights: of the object's centre of mass, (T,) [m].
+        far: what more each meeting costs, (T,) [m].
+    """
+    if math.isfinite(act.at):
+        return min(round(act.at * fps), len(heights) - 2) - target.frame
+    frames, meeting = np.arange(len(heights)), target.meeting_frame(len(heights))
+    cost = np.abs(heights - height) + (WAITING / fps) * np.abs(frames - meeting) + (0.0 if far is None else far)
+    first = max(round(act.start * fps), round(SOONEST * fps))
+    cost[: first + 1], cost[min(round(act.end * fps), len(heights) - 1) + 1 :] = np.inf, np.inf
+    return int(cost.argmin()) - meeting if np.isfinite(cost).any() else 0
+
+
+def retimed(motion: Motion, since: int, frame: int, to: int) -> Motion:
+    """The motion with what was at `frame` at `to`: slower or faster from frame `since` until then, and from then to its
+    end; the strike itself, within `SWING`, as fast as it was."""
+    if to == frame:
+        return motion
+    last = len(motion) - 1
+    swing = min(SWING * motion.fps, 0.5 * min(frame - since, to - since), 0.5 * (last - max(frame, to)))
+    if swing <= 0:
+        return motion
+    before, after = (np.array([since, at - swing, at + swing, last], dtype=float) for at in (frame, to))
+    rates = np.diff(before) / np.diff(after)
+    slopes = np.minimum(1.0, 3 * np.minimum([*rates, 1.0], [1.0, *rates]))  # never backwards (Fritsch and Carlson 1980)
+    frames = np.arange(last + 1.0)
+    shown = np.where(frames > since, CubicHermiteSpline(after, before, slopes)(np.maximum(frames, since)), frames)
+    return interpolate_motion(motion, shown.clip(0, last))
 
 
 def placed(

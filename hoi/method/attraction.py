@@ -116,7 +116,8 @@ def carried_strike(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, t
     object_means = trajectory.positions[meeting, : len(scene.thing.cloud)]
     limb = limb_gaussians(scene.body, target.joint)
     limb_means = posed_means(scene.body, motion, frames=[meeting], subset=limb)[0]
-    return path + strike_offset(trajectory.com[meeting], object_means, limb_means, path, meeting)
+    way = np.array(target.way) if target.way else None
+    return path + strike_offset(trajectory.com[meeting], object_means, limb_means, path, meeting, way)
 
 
 def carried_push(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, target: Target) -> Array:
@@ -161,7 +162,9 @@ def pushed_face(scene: Scene, motion: Motion, trajectory: ObjectTrajectory, targ
     )
 
 
-def strike_offset(com: Array, object_means: Array, limb_means: Array, path: Array, meeting: int) -> Array:
+def strike_offset(
+    com: Array, object_means: Array, limb_means: Array, path: Array, meeting: int, way: Array | None = None
+) -> Array:
     """How far the strike lies from the object [m], (3,).
 
     Args:
@@ -170,9 +173,10 @@ def strike_offset(com: Array, object_means: Array, limb_means: Array, path: Arra
         limb_means: the joint's Gaussians at the meeting [m], (M, 3).
         path: p_j*(t) before stage 2 [m], (T, 3).
         meeting: the frame, see `hoi.data.Target.meeting_frame`.
+        way: unit vector along which it is to push, (3,); None: along the strike.
     """
     joint = path[meeting]
-    direction = joint - path[max(meeting - 1, 0)]
+    direction = way if way is not None else joint - path[max(meeting - 1, 0)]
     if np.linalg.norm(direction) < 1e-3:  # a still limb has no strike: come from where it is
         direction = com - joint
     direction = direction / np.linalg.norm(direction)
@@ -255,6 +259,7 @@ def coordinate(
     decay: float,
     lambda_hmsd: float,
     lambda_feet: float,
+    stream: str = "coordinate",
 ) -> list[Motion]:
     """N_sync iterations of lambda_HMSD L_HMSD + lambda_attr L_attr + lambda_feet L_feet, of all runs as one batch.
 
@@ -266,6 +271,7 @@ def coordinate(
         states: with the motion, the target and the object's free motion, that of all runs.
         attraction: lambda_attr and L_attr; None without.
         decay: see `hoi.method.hmsd.optimise`.
+        stream: of random numbers.
 
     Raises:
         RunError: the motion is not finite.
@@ -275,7 +281,7 @@ def coordinate(
     pose = distillation.pose(motions, device) if distillation else PoseParameters.of(motions, device, steps=False)
     terms: dict[str, Term] = {}
     if distillation is not None and lambda_hmsd > 0:
-        generators = stream_generators(batch.seeds, "coordinate")
+        generators = stream_generators(batch.seeds, stream)
         terms["hmsd"] = lambda _: distillation.loss(pose, generators), lambda_hmsd
     if attraction is not None:
         terms["attraction"] = attraction

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from hoi.body.limbs import Limbs
 from hoi.body.mass import PART
-from hoi.body.parts import part_at
+from hoi.body.parts import TOGETHER, part_at
 from hoi.body.skeleton import chain_of
 from hoi.body.skinning import joint_frames, joint_paths
 from hoi.data import Array, Body, Contact, ContactSearch, Motion, ObjectState, ObjectTrajectory, Scene, SceneObject
@@ -20,10 +20,10 @@ from hoi.frames import at_frame
 from hoi.method.touch import Touch, contact_normal, plates_of, slack_of, touch
 from hoi.mpm.state import centre_of_mass
 
-TOGETHER = 1.0
-"""So soon after the push the object is still where it was freely, for the limbs that push together [frames]."""
 SWEEP_MARGIN = 0.1
 """How far a limb may bulge out of the boxes of two neighbouring frames while it turns [m]."""
+AGAIN = 0.1
+"""No limb strikes twice in so short a time: its next skin and the one before it are one blow [s]."""
 INSTANT = 0.01
 """Half the time over which the velocity at an instant is taken [frames]."""
 
@@ -78,6 +78,8 @@ def find_contact(
     over_a_frame: bool = False,
     to_com: bool = False,
     together: Sequence[int] = (),
+    last: Contact | None = None,
+    until: float = np.inf,
 ) -> ContactSearch:
     """The first contact that pushes the object, any separating touch before it, and what pushes together with it.
 
@@ -94,6 +96,9 @@ def find_contact(
         to_com: whether n leads to the centre of mass, as in the paper; else it is the surface's.
         together: joints that push together: of their limbs, those that touch within `TOGETHER` of the push are contacts
             too, without an impulse of their own.
+        last: the contact that is answered already: the search goes on after it, and what struck is to let go of the
+            object before it strikes again.
+        until: the frame before which the search ends.
     """
     limbs, joints = Limbs(scene.body, motion), joint_paths(scene.body, motion)
     surface = trajectory.positions[:, : len(scene.thing.cloud)]
@@ -113,7 +118,8 @@ def find_contact(
     touched_before: set[int] = set()
     push: Contact | None = None
     awaited = {chain_of(joint) for joint in together}
-    for frame, candidates in _tests(limbs, surface, distance, distance + beyond, between_frames):
+    since, holding = (-np.inf, None) if last is None else (last.frame, chain_of(last.joint))
+    for frame, candidates in _tests(limbs, surface, distance, distance + beyond, between_frames, since, until):
         if push is not None and frame > push.frame + TOGETHER:
             break
         object_now = at_frame(surface, frame)
@@ -126,6 +132,9 @@ def find_contact(
             meet = widened or _overlap(*box_of(limb), *box_of(object_now), 0.0)
             if found.fraction >= tau and found.point is not None and meet:
                 touching[joint] = found
+        if frame > since + AGAIN * motion.fps and all(chain_of(joint) != holding for joint in touching):
+            holding = None
+        touching = {joint: found for joint, found in touching.items() if chain_of(joint) != holding}
         for joint in sorted(touching, key=lambda j: -touching[j].fraction):
             if over_a_frame:
                 v_human = _joint_velocity(joints[:, joint], frame, motion.fps)
@@ -207,12 +216,31 @@ def _smallest_gap(limbs: Limbs, surface: Array) -> tuple[float, float, int]:
 
 
 def _tests(
-    limbs: Limbs, surface: Array, distance: float, reach: float, between_frames: bool
+    limbs: Limbs,
+    surface: Array,
+    distance: float,
+    reach: float,
+    between_frames: bool,
+    since: float = -np.inf,
+    until: float = np.inf,
 ) -> Iterator[tuple[float, dict[int, Array]]]:
-    """(frame, {joint: world means}) in the order of time, for the joints whose boxes come within `reach` of its box."""
+    """(frame, {joint: world means}) in the order of time, after `since` and before `until`, for the joints whose boxes
+    come within `reach` of its box."""
+    first = int(max(since, 0.0))
+    for frame, candidates in _tests_from(first, limbs, surface, distance, reach, between_frames):
+        if frame >= until:
+            return
+        if frame > since:
+            yield frame, candidates
+
+
+def _tests_from(
+    first: int, limbs: Limbs, surface: Array, distance: float, reach: float, between_frames: bool
+) -> Iterator[tuple[float, dict[int, Array]]]:
+    """The same from the whole frame `first` on."""
     frames = len(surface)
     low, high = surface.min(axis=1), surface.max(axis=1)
-    for frame in range(frames):
+    for frame in range(first, frames):
         following = min(frame + 1, frames - 1)
         both = [frame, following]
         object_span = low[both].min(axis=0), high[both].max(axis=0)

@@ -1,7 +1,8 @@
 """Human motion score distillation (paper, Human Motion Score Distillation), the prior's pull in stages 1 and 2."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hoi.data import Motion, Scene
 from hoi.errors import InputError, RunError
 from hoi.method.pose import PoseParameters, knots, resampled
 from hoi.motion import features
+from hoi.motion.collage import Timeline
 from hoi.motion.diffusion import ancestral_sample, ddim_sample, q_sample
 from hoi.motion.prior import MotionPrior, load_prior
 from hoi.reports import Stage
@@ -28,6 +30,10 @@ ENDS = ("left_wrist", "right_wrist", "left_ankle", "right_ankle")
 LEAST_FRAMES, MOST_FRAMES = 40, 4000
 """Frames of the prior: shorter motions than those it was trained on it knows only as a piece of one, held at its ends;
 the denoiser has places for some thousand."""
+
+AT_ONCE = 4
+"""Windows of a timeline that an iteration of L_HMSD looks at, drawn anew each time: its gradient is on average that of
+all, and a long scene costs an iteration no more than a short one does."""
 
 
 def stream_generators(seeds: Sequence[int], name: str) -> list[torch.Generator]:
@@ -55,6 +61,14 @@ class ScoreDistillation:
     """Whether the loss is the sum over features and frames, or their mean."""
     stand: bool = False
     """Whether the person stays where they are: the prior is held to a pelvis that does not travel."""
+    timeline: Timeline | None = None
+    """The acts, where there are any: their sentences stand in the place of `text`."""
+    frames: tuple[float, float] = (0.0, math.inf)
+    """Of a timeline, L_HMSD looks from here to there alone [s]."""
+
+    def between(self, first: float, last: float) -> "ScoreDistillation":
+        """The same that looks from here to there alone [s]."""
+        return replace(self, frames=(first, last))
 
     def features(self, pose: PoseParameters) -> Tensor:
         """The prior's normalised features of X, (B, T, 205)."""
@@ -81,10 +95,15 @@ class ScoreDistillation:
 
     def predict_x0(self, x_t: Tensor, t: Tensor, guidance: float, rescale: float) -> Tensor:
         """X0_hat of the prior for the prompt, (B, T, 205); with `stand`, of a pelvis that does not travel."""
-        x0 = self.prior.predict_x0(x_t, t, self.text, guidance, rescale)
+        if self.timeline is None:
+            return self._standing(self.prior.predict_x0(x_t, t, self.text, guidance, rescale))
+        return self._standing(self.timeline.predict_x0(x_t, t, guidance, rescale))
+
+    def _standing(self, x0: Tensor) -> Tensor:
+        """Predictions (..., 205); with `stand`, of a pelvis that does not travel."""
         if not self.stand:
             return x0
-        still = self.prior.normalise(torch.zeros_like(x0[0, 0]))[PELVIS_VELOCITY]
+        still = self.prior.normalise(x0.new_zeros(x0.shape[-1]))[PELVIS_VELOCITY]
         x0[..., PELVIS_VELOCITY] = still  # as MDM edits motions: what is known replaces the prediction
         return x0
 
@@ -96,6 +115,8 @@ class ScoreDistillation:
         Details). Each run draws t and noise from its own generator.
         """
         x = self.features(pose)
+        if self.timeline is not None:
+            return self._loss_of_windows(x, self.timeline, generators)
         short = max(LEAST_FRAMES - x.shape[1], 0)
         own = slice(short // 2, short // 2 + x.shape[1])
         x = _held(x, short // 2, short - short // 2, self.prior)
@@ -110,6 +131,32 @@ class ScoreDistillation:
         weights = 1 - self.prior.alphas_cumprod.to(x)[t]
         squared = (x - x0)[:, own] ** 2
         return 0.5 * weights * (squared.sum(dim=(-1, -2)) if self.summed else squared.mean(dim=(-1, -2)))
+
+    def _loss_of_windows(self, x: Tensor, timeline: Timeline, generators: Sequence[torch.Generator]) -> Tensor:
+        """The same for a timeline, of `AT_ONCE` windows that each run draws: what each keeps of its own prediction is
+        what it pulls, so that the mean over all draws has the gradient of the whole."""
+        layout, rate = timeline.layout(x.shape[1]), self.prior.fps
+        near = layout.near(int(self.frames[0] * rate), int(min(self.frames[1] * rate, x.shape[1])))
+        drawn, times, noise = [], [], []
+        for each in generators:
+            times.append(torch.randint(self.t_min, self.t_max, (), generator=each))
+            noise.append(torch.randn(x.shape[1:], generator=each))
+            order = torch.randperm(len(near), generator=each)[:AT_ONCE]
+            drawn.append(sorted(near[k] for k in order.tolist()))
+        t = torch.stack(times).to(x.device)
+        with torch.no_grad():
+            x_t = q_sample(x, t, torch.stack(noise).to(x), self.prior.alphas_cumprod)
+            x0 = self._standing(timeline.windows(x_t, t, drawn, self.guidance, self.rescale))
+        seen = torch.stack(
+            [
+                torch.stack([x[row, (start := layout.starts[c]) : start + layout.length] for c in windows])
+                for row, windows in enumerate(drawn)
+            ]
+        )
+        kept = torch.stack([layout.weights[windows] for windows in drawn]).to(x)
+        squared = (kept * (seen - x0) ** 2).sum(dim=(-1, -2, -3)) * (len(near) / len(drawn[0]))
+        weights = 1 - self.prior.alphas_cumprod.to(x)[t]
+        return 0.5 * weights * (squared if self.summed else squared / x[0].numel())
 
 
 def _held(x: Tensor, before: int, after: int, prior: MotionPrior) -> Tensor:
@@ -210,6 +257,7 @@ def load_distillation(
         t_max=min(t_max, prior.timesteps),
         summed=summed,
         stand=stand,
+        timeline=Timeline.of(prior, scene.acts) if scene.acts else None,
     )
 
 

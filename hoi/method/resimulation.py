@@ -26,14 +26,14 @@ def resimulate(
     flesh: float,
     move: Mover,
     stage: Stage,
-) -> tuple[ObjectTrajectory, Contact]:
+) -> tuple[ObjectTrajectory, Contact, tuple[ObjectState, ...]]:
     """The object from t_c on, with what the impulse adds to its motion; what was before stays as in `free`.
 
     Args:
         limb: 1 / m_eff [1/kg]; 0 for a limb that nothing stops. flesh: see `hoi.method.contact.exchange`.
 
     Returns:
-        the trajectory, and the contact with the impulse.
+        the trajectory, the contact with the impulse, and the object's state at each frame, to start again from.
     """
     t_c = contact.frame
     state = _state_at(scene, free, states, t_c, move, stage)
@@ -47,7 +47,8 @@ def resimulate(
     after = move(scene, struck, t_c, stops, stage)
     leaving = centre_of_mass(after.states[stops.index(soon)].velocities, scene.thing.masses) - contact.v_post
     stage.numbers["v_post_error"] = float(np.linalg.norm(leaving) / np.linalg.norm(contact.v_post))
-    return _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames]), contact
+    trajectory, states = _continued(scene.thing, free, states, after, [stops.index(frame) for frame in frames])
+    return trajectory, contact, states
 
 
 def push_by(
@@ -59,19 +60,20 @@ def push_by(
     collider: Collider | Partner,
     move: Mover,
     stage: Stage,
-) -> tuple[ObjectTrajectory, Contact, tuple[Push, ...]]:
+) -> tuple[ObjectTrajectory, Contact, tuple[Push, ...], tuple[ObjectState, ...]]:
     """The object pushed by the collider from frame `start` on; before, it stays as in `free`.
 
     Returns:
-        the trajectory, the contact with the impulse and the duration of the push that it began, and all pushes.
+        the trajectory, the contact with the impulse and the duration of the push that it began, all pushes, and the
+        object's state at each frame, to start again from.
     """
     frames = [float(frame) for frame in range(scene.frames) if frame > start]
     state = _state_at(scene, free, states, start, move, stage)
     after = move(scene, state, start, frames, stage, collider)
-    trajectory = _continued(scene.thing, free, states, after, range(len(frames)))
+    trajectory, states = _continued(scene.thing, free, states, after, range(len(frames)))
     if not after.pushes:
         stage.notes.append("the limb's capsules passed the object without touching it")
-        return trajectory, contact, ()
+        return trajectory, contact, (), states
     given = sum(push.impulse for push in after.pushes)
     strike = min(after.pushes, key=lambda push: abs(push.start * scene.fps - contact.frame))
     first, last = strike.start * scene.fps, strike.end * scene.fps
@@ -80,7 +82,7 @@ def push_by(
     )
     v_post = at_frame(trajectory.com_velocity, float(np.ceil(last)))
     contact = replace(contact, impulse=strike.impulse, v_post=v_post, duration=strike.end - strike.start)
-    return trajectory, contact, after.pushes
+    return trajectory, contact, after.pushes, states
 
 
 def _state_at(
@@ -100,12 +102,14 @@ def _continued(
     states: Sequence[ObjectState],
     after: Advanced,
     chosen: Sequence[int],
-) -> ObjectTrajectory:
-    """`free` with its last frames replaced by the `chosen` states of `after`."""
+) -> tuple[ObjectTrajectory, tuple[ObjectState, ...]]:
+    """`free` with its last frames replaced by the `chosen` states of `after`, and its states."""
     kept = len(states) - len(chosen)
-    return trajectory_of(
+    states = (*states[:kept], *(after.states[index] for index in chosen))
+    trajectory = trajectory_of(
         thing,
-        (*states[:kept], *(after.states[index] for index in chosen)),
+        states,
         np.concatenate([free.energy[:kept], after.energy[list(chosen)]]),
         (*free.phase[:kept], *(after.phase[index] for index in chosen)),
     )
+    return trajectory, states

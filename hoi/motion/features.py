@@ -28,6 +28,23 @@ _HEIGHT, _VELOCITY, _TURN, _ROTATIONS, _POSITIONS = (
     slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 136), slice(136, 205),
 )  # fmt: skip
 
+PARTS = {
+    "left_arm": (13, 16, 18, 20, 22),
+    "right_arm": (14, 17, 19, 21, 23),
+    "legs": (0, 1, 2, 4, 5, 7, 8, 10, 11),
+    "head": (12, 15),
+    "spine": (3, 6, 9),
+}
+"""The joints of the body parts that STMC puts motions together from; the root goes with the legs."""
+
+
+def columns_of(part: str) -> list[int]:
+    """The features of a body part: each feature is one part's."""
+    joints = PARTS[part]
+    rotations = [_ROTATIONS.start + 6 * joint + k for joint in joints if joint < 22 for k in range(6)]
+    positions = [_POSITIONS.start + 3 * (joint - 1) + k for joint in joints if joint > 0 for k in range(3)]
+    return [*(range(_ROTATIONS.start) if part == "legs" else ()), *rotations, *positions]
+
 
 def heading_of(rotation: Tensor) -> Tensor:
     """Unit vector (cos c, sin c) of the heading, (..., 2), of pelvis rotations (..., 3, 3); (1, 0) where undefined."""

@@ -13,7 +13,7 @@ from hoi.data import Array, Body, GaussianCloud, Scene, SceneObject, fields_of
 
 T = TypeVar("T")
 
-_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes", "setting")
+_SCENE = ("name", "motion_prompt", "frames", "fps", "gravity", "planes", "setting", "acts")
 _BODY = ("name", "source")
 _OBJECT = ("name", "size", "notes", "material", "other_materials")
 

@@ -261,7 +261,8 @@ def _state(reader: McapReader, facts: dict[str, Any], path: Path) -> State:
         contacts = tuple(restore(Contact, json.loads(message)) for message in messages.get("/contact", ()))
         contact = restore(ContactSearch, facts["contact"], contacts=contacts)
     target = None if facts["target"] is None else restore(Target, facts["target"])
-    return State(motion=motion, trajectory=trajectory, target=target, contact=contact)
+    later = tuple(restore(Target, each) for each in facts.get("later", ()))  # records from before have one strike
+    return State(motion, trajectory, target, contact, later)
 
 
 def _motion(messages: list[bytes], facts: dict[str, Any]) -> Motion:

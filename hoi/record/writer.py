@@ -100,6 +100,7 @@ def _facts(run: Run) -> dict:
         "motion": None if motion is None else {"fps": motion.fps, "frames": len(motion), "dtypes": dtypes},
         "trajectory": None if trajectory is None else {"frames": len(trajectory.positions)},
         "target": state.target,
+        "later": state.later,
         "contact": None if search is None else fields_of(search) | {"contacts": len(search.contacts)},
     }
 

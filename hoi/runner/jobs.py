@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from hoi.body.parts import is_with, struck_together
+from hoi.body.parts import is_with, struck_together, struck_with
 from hoi.body.skeleton import JOINT_NAMES, LIMBS
 from hoi.body.skinning import posed_means
 from hoi.config import Config, Device
@@ -34,6 +34,9 @@ from hoi.runner.shelf import Shelf
 
 if TYPE_CHECKING:
     from hoi.render.encode import Video
+
+LATE = 0.25
+"""A contact so much before or after t* is that of another strike [s]."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +221,19 @@ def told(failure: Exception) -> str:
 def outcome(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:
     """What happened, in one sentence."""
     stopped = next((f"; stage 3 {r.notes[-1]}" for r in reports if "stopped" in r.numbers), "")
-    return f"{reached(config, plan, state, reports)}{stopped}"
+    return f"{reached(config, plan, state, reports)}{missed(state, config.scene.fps)}{stopped}"
+
+
+def missed(state: State, fps: float) -> str:
+    """Which strikes after the first did not meet the object, where contacts were looked for."""
+    given = () if state.contact is None else state.contact.given
+    said = ""
+    for target in state.later if state.contact is not None else ():
+        limbs = [set(limb) for limb in LIMBS.values() if target.joint in limb]
+        near = [each for each in given if abs(each.frame - target.frame) <= LATE * fps]
+        if not any(each.joint in limb for each in near for limb in limbs):
+            said += f"; {JOINT_NAMES[target.joint]} did not meet the object at frame {target.frame}"
+    return said
 
 
 def reached(config: Config, plan: Plan, state: State, reports: Sequence[StageReport]) -> str:
@@ -251,7 +266,12 @@ def struck(config: Config, plan: Plan, state: State) -> str:
         limb = "as expected" if is_with(wanted, push.joint, push.part) else f"{wanted} was expected"
     speed = float(np.linalg.norm(push.v_post))
     what = f"contact by {struck_together(search)} ({limb}) at frame {push.frame:.2f}, v_post {speed:.2f} m/s"
-    if plan.implementation("contact") != "collider" or state.trajectory is None:
+    later = [
+        f"{struck_with(each)} at frame {each.frame:.2f}, v_post {float(np.linalg.norm(each.v_post)):.2f} m/s"
+        for each in search.given[1:]
+    ]
+    what = "; then ".join([what, *later])
+    if plan.implementation("contact") != "collider" or state.trajectory is None or later:
         return what
     left = push.frame + push.duration * config.scene.fps
     after = state.trajectory.com_velocity[min(math.ceil(left), len(state.trajectory.com_velocity) - 1)]

@@ -1,12 +1,13 @@
 """From the config to the fixed scene: a person, an object, their places and units."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hoi.config import Config, HumanConf, HumanKind, ObjectKind, PlaneContact, SceneConf
-from hoi.data import Body, GaussianCloud, Plan, Plane, Scene, SceneObject
+from hoi.data import Act, Body, GaussianCloud, Plan, Plane, Scene, SceneObject
 from hoi.errors import under
 from hoi.method.scene_representation import check_apart, check_clear
 from hoi.plan import make_plan, materials_of
@@ -39,12 +40,30 @@ def build_scene(
         gravity=np.array(conf.gravity),
         planes=tuple(planes.values()),
         setting=conf.setting.value,
+        acts=acts_of(conf),
     )
     with under("scene"):
         check_clear(scene.thing, planes)
         if "approach" not in (plan or make_plan(config)).uses:
             check_apart(scene)
     return scene
+
+
+def acts_of(conf: SceneConf) -> tuple[Act, ...]:
+    return tuple(
+        Act(
+            prompt=act.prompt,
+            start=act.start,
+            end=act.end,
+            parts=tuple(act.parts),
+            strikes=act.strikes or "",
+            at=math.nan if act.at is None else act.at,
+            sends=tuple((np.array(act.sends) / np.linalg.norm(act.sends)).tolist()) if act.sends else (),
+            tempo=act.tempo,
+            flesh=math.nan if act.flesh is None else act.flesh,
+        )
+        for act in conf.acts
+    )
 
 
 def load_body(conf: HumanConf, seed: int) -> Body:

@@ -21,8 +21,8 @@ from hoi.method.optimization import Recall
 from hoi.runner.provenance import FILES
 
 MOTION = (
-    "human", "stage.motion", "device", "threads", "scene.name", "scene.motion_prompt", "scene.frames", "scene.fps",
-    "scene.approach",
+    "human", "stage.motion", "device", "threads", "scene.name", "scene.motion_prompt", "scene.acts",
+    "scene.frames", "scene.fps", "scene.approach",
 )  # fmt: skip
 """Keys of the config that the motion of stage 1 depends on: it is made without an object."""
 LATER = {

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeAlias, TypeVar
 
 from hoi.data import Check, Missing, Omission, Step
 
 if TYPE_CHECKING:
     from hoi.config import Config, SceneConf
-    from hoi.data import ContactSearch, Material, Motion, ObjectState, ObjectTrajectory, Run, Scene, State, Target
+    from hoi.data import (
+        Act,
+        Contact,
+        ContactSearch,
+        Material,
+        Motion,
+        ObjectState,
+        ObjectTrajectory,
+        Run,
+        Scene,
+        State,
+        Target,
+    )
     from hoi.method.attraction import Batch, Term
     from hoi.method.hmsd import ScoreDistillation
     from hoi.method.object_motion import Mover
@@ -157,8 +170,8 @@ class MotionSource(Option):
         """One motion a seed, from the sentence alone; `stages` are told of one each."""
         raise NotImplementedError
 
-    def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
-        """j* and t* of a motion."""
+    def target(self, scene: Scene, motion: Motion, conf: SceneConf, act: Act | None = None) -> Target:
+        """j* and t* of a motion; of an act, those of its limb in its time."""
         raise NotImplementedError
 
 
@@ -175,9 +188,16 @@ class Attraction(Option):
         raise NotImplementedError
 
 
+Answered: TypeAlias = "tuple[State, Sequence[ObjectState]]"
+"""The state after a contact, and the object's at each frame, from which the next one starts again."""
+
+
 @dataclass
 class ContactModel(Option):
     """What happens when person and object touch."""
+
+    lasting: ClassVar[bool] = False
+    """Whether its answer holds all that the person's motion as it is does to the object until T."""
 
     @property
     def d_contact(self) -> float:
@@ -188,14 +208,27 @@ class ContactModel(Option):
         """What it is where the object is moved so."""
         return self
 
+    def of(self, act: Act | None) -> ContactModel:
+        """What it is for the contacts of an act's strike."""
+        return self
+
     def search(
-        self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()
+        self,
+        scene: Scene,
+        motion: Motion,
+        trajectory: ObjectTrajectory,
+        together: Sequence[int] = (),
+        last: Contact | None = None,
+        until: float = math.inf,
     ) -> ContactSearch:
-        """The contacts of a motion and the object's free motion; `together` are joints that push together."""
+        """The contacts of a motion and the object's, after the `last` one that is answered and before frame `until`;
+        `together` are joints that push together."""
         raise NotImplementedError
 
-    def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
-        """How object and person go on after the contact that pushes the object: the state with their motions, and the
+    def answer(
+        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
+    ) -> Answered:
+        """How object and person go on after the contact that pushes the object: the state with their motions and the
         contacts with what came of them."""
         raise NotImplementedError
 

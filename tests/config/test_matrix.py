@@ -36,7 +36,7 @@ OWN = {"live": {"no_video_sds"}}
 
 
 def test_the_lists_are_whole():
-    assert len(EXPERIMENTS) == 6 and len(SCENES) == 10 and set(STAGE) == set(Ablation) == set(FOLLOWS)
+    assert len(EXPERIMENTS) == 6 and len(SCENES) == 13 and set(STAGE) == set(Ablation) == set(FOLLOWS)
 
 
 @pytest.fixture(scope="module")

@@ -319,7 +319,7 @@ def test_a_punch_moves_the_ball_and_is_recorded_in_its_contact(conf):
     collider, _ = limb_collider(scene, motion, free, contact, **pushing(conf))
     with Stages().stage("push", 1) as stage:
         start = float(collider.times[0]) * scene.fps
-        trajectory, pushed, _ = push_by(scene, free, states, contact, start, collider, mover_of(conf), stage)
+        trajectory, pushed, _, _ = push_by(scene, free, states, contact, start, collider, mover_of(conf), stage)
     before = int(collider.times[0] * scene.fps) + 1
     assert set(trajectory.phase[:before]) == {"rest"}
     np.testing.assert_array_equal(trajectory.positions[:before], free.positions[:before])

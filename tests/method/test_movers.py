@@ -129,7 +129,7 @@ def test_velocity_after_the_impulse_is_measured_on_the_way(scene_of):
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     with Stages().stage("test", 1) as stage:
-        struck, _ = resimulate(scene, free, states, contact_at(3.0, [0, 5, 1], scene.object), 0.0, 1.0, move, stage)
+        struck, _, _ = resimulate(scene, free, states, contact_at(3.0, [0, 5, 1], scene.object), 0.0, 1.0, move, stage)
     assert len(struck.com) == len(struck.phase) == scene.frames
     assert stage.numbers["v_post_error"] < 1e-4
     assert stage.numbers["seconds_mpm"] + stage.numbers["seconds_flight"] == pytest.approx(4 / scene.fps)
@@ -142,7 +142,7 @@ def test_resimulation_starts_at_the_moment_of_contact(scene_of, t_c):
     move = mover_of(config)
     free, states = run_stage(lambda stage: free_motion(scene, move, stage))
     contact = contact_at(t_c, [0, 5, 1], scene.object)
-    struck, _ = run_stage(lambda stage: resimulate(scene, free, states, contact, 0.0, 1.0, move, stage))
+    struck, _, _ = run_stage(lambda stage: resimulate(scene, free, states, contact, 0.0, 1.0, move, stage))
     time = np.maximum(np.arange(scene.frames) - t_c, 0)[:, None] / scene.fps
     np.testing.assert_allclose(struck.com, free.com[0] + time * [0, 5, 1], atol=1e-4)
     np.testing.assert_array_equal(struck.positions[:3], free.positions[:3])

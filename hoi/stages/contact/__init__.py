@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -14,7 +14,7 @@ from hoi.stages.contract import ContactModel, Draft, Requirements
 
 if TYPE_CHECKING:
     from hoi.config import Config
-    from hoi.data import ContactSearch, Motion, ObjectTrajectory, Scene
+    from hoi.data import Act, Contact, ContactSearch, Motion, ObjectTrajectory, Scene
     from hoi.method.reaction import Muscles
     from hoi.reports import Stage
 
@@ -91,7 +91,13 @@ class Detection(ContactModel):
             draft.run("react", "articulated", f"the person takes the opposite impulse, {how}; {light}")
 
     def search(
-        self, scene: Scene, motion: Motion, trajectory: ObjectTrajectory, together: Sequence[int] = ()
+        self,
+        scene: Scene,
+        motion: Motion,
+        trajectory: ObjectTrajectory,
+        together: Sequence[int] = (),
+        last: Contact | None = None,
+        until: float = math.inf,
     ) -> ContactSearch:
         from hoi.method.contact import find_contact
 
@@ -106,7 +112,12 @@ class Detection(ContactModel):
             over_a_frame=self.velocity is Velocity.frame,
             to_com=self.normal is Normal.centre_of_mass,
             together=together,
+            last=last,
+            until=until,
         )
+
+    def of(self, act: Act | None) -> Detection:
+        return self if act is None or math.isnan(act.flesh) else replace(self, flesh=act.flesh)
 
     @property
     def muscles(self) -> Muscles:

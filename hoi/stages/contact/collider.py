@@ -12,7 +12,7 @@ from omegaconf import MISSING
 from hoi.errors import RunError
 from hoi.stages.contact import Detection
 from hoi.stages.contact.impulse import Impulse
-from hoi.stages.contract import Draft, ObjectMover, Requirements, option
+from hoi.stages.contract import Answered, Draft, ObjectMover, Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config
@@ -27,6 +27,7 @@ class Collider(Detection):
     """Contact detection, and the striking limb as a moving obstacle in the MPM."""
 
     since = "from when the limb is last clear of it to T, the limb a moving obstacle"
+    lasting = True
 
     friction: float = MISSING
     """Coulomb coefficient between limb and object [-]."""
@@ -53,7 +54,9 @@ class Collider(Detection):
         because = f"stage/object={mover.name} has no matter that a limb could press: it gives one impulse"
         draft.omit("the limb as a moving obstacle", because, "its capsules")
 
-    def answer(self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage) -> State:
+    def answer(
+        self, scene: Scene, state: State, restarts: Sequence[ObjectState], move: Mover, stage: Stage
+    ) -> Answered:
         from hoi.body.limb_collider import NEAR_IN_ANSWER, limb_collider, ready_to_push
         from hoi.method.resimulation import push_by
 
@@ -65,8 +68,8 @@ class Collider(Detection):
                 limbs, notes = limb_collider(scene, motion, free, push, samples=self.samples, friction=self.friction)
             stage.notes.extend(notes)
             start = float(limbs.times[0]) * scene.fps
-            trajectory, pushed, pushes = push_by(scene, free, restarts, push, start, limbs, move, stage)
-            return replace(state, trajectory=trajectory, contact=search.with_push(pushed, pushes))
+            trajectory, pushed, pushes, states = push_by(scene, free, restarts, push, start, limbs, move, stage)
+            return replace(state, trajectory=trajectory, contact=search.with_push(pushed, pushes)), states
         from hoi.method.reaction import pushed_back, pushing
 
         with self._apart():
@@ -74,9 +77,9 @@ class Collider(Detection):
         stage.notes.extend(ready.notes)
         person = pushing(scene, motion, ready, self.muscles, self.friction)
         start = person.person.time * scene.fps
-        trajectory, pushed, pushes = push_by(scene, free, restarts, push, start, person, move, stage)
+        trajectory, pushed, pushes, states = push_by(scene, free, restarts, push, start, person, move, stage)
         motion, pushed = pushed_back(scene, motion, person, pushed, self.muscles, stage)
-        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(pushed, pushes))
+        return replace(state, motion=motion, trajectory=trajectory, contact=search.with_push(pushed, pushes)), states
 
     @contextmanager
     def _apart(self) -> Iterator[None]:

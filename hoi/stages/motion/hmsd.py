@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -20,7 +20,7 @@ from hoi.stages.contract import Draft, MotionSource, Requirements, option
 
 if TYPE_CHECKING:
     from hoi.config import Config, SceneConf
-    from hoi.data import Motion, Scene, Target
+    from hoi.data import Act, Motion, Scene, Target
     from hoi.method.hmsd import Sampling, ScoreDistillation
     from hoi.reports import Stage
 
@@ -130,6 +130,9 @@ class HMSD(MotionSource):
             if (said := sentence_check(config.scene.motion_prompt, self.checkpoint)) is not None:
                 draft.checks.append(Check("sentence", *said))
         draft.uses += ["motion"] + ["motion_prior"] * used + ["hmsd"] * in_stage_2
+        if config.scene.acts:
+            said = "; ".join(f"{act.start:g} to {act.end:g} s: {act.prompt}" for act in config.scene.acts)
+            draft.check("acts", str(len(config.scene.acts)), f"each denoised by itself, put together: {said}")
         start = STARTS[self.init] if self.path is None else f"{STARTS[self.init]} {self.path}"
         if self.iterations > 0 or self.init is MotionInit.sample:
             detail = f"{self.iterations} iterations, CFG {self.guidance:g}, from {start}"
@@ -202,12 +205,16 @@ class HMSD(MotionSource):
             stage.notes.extend(notes)
         return motion
 
-    def target(self, scene: Scene, motion: Motion, conf: SceneConf) -> Target:
+    def target(self, scene: Scene, motion: Motion, conf: SceneConf, act: Act | None = None) -> Target:
         from hoi.body.skinning import joint_paths
         from hoi.method.attraction import choose_target, striking_limb
         from hoi.method.push import choose_push
 
         joints = joint_paths(scene.body, motion)
+        if act is not None:
+            first, last = round(act.start * scene.fps), round(act.end * scene.fps)
+            found = choose_target(joints[first : last + 1], LIMBS[act.strikes])
+            return replace(found, frame=min(found.frame + first, scene.frames - 2))
         if conf.striking_joints:
             together = [JOINT_NAMES.index(name) for name in conf.striking_joints]
             return choose_push(joints, together, round(conf.hold * scene.fps))
