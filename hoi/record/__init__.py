@@ -6,7 +6,7 @@ the same message bytes; wall-clock facts stand in the metadata alone.
 | topic | encoding | for |
 |---|---|---|
 | `/human/motion` | JSON | the person: translation, orientation, pose (exact) |
-| `/object/state` | protobuf `hoi.ObjectState` | the object: all particles, F, centre of mass, energy, phase (exact) |
+| `/object/state` | protobuf `hoi.ObjectState` | the object: particles (to 8 um), F (to 3e-5); com, energy, phase |
 | `/contact` | JSON | one message a contact, at its time (exact) |
 | `/human/points`, `/object/points` | `foxglove.PointCloud` | what a viewer draws |
 | `/human/joints`, `/object/com`, `/tf` | `foxglove.PosesInFrame`, `PoseInFrame`, `FrameTransforms` | skeleton, object |

@@ -1,8 +1,9 @@
 """What each topic holds: the schema a viewer decodes it by. Foxglove's JSON schemas know no nested arrays or unions."""
 
 import json
+import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from hoi.data import Array, Contact
+from hoi.data import Array, Contact, ObjectTrajectory
 
 FORMAT = "1"
 """Raised when an older reader could no longer read what is written."""
@@ -95,6 +96,13 @@ MOTION_ARRAYS = ("translation", "orientation", "body_pose")
 OBJECT_ARRAYS = ("positions", "deformation_gradient", "com", "com_velocity", "energy")
 """The arrays of `ObjectTrajectory` a message holds one frame of; only the deformation gradient may be absent."""
 
+FINEST = 2.0**-16
+"""Places of the object's particles are rounded to this [m], or to what is finer and an 8192nd of its size."""
+STRAIN = 2.0**-14
+"""The deformation gradient is rounded to this [-]."""
+SHOWN = 2.0**-13
+"""Points that are only looked at are rounded to this [m]."""
+
 ObjectState = _object_state()
 
 PROTOBUF_SCHEMAS: dict[str, Any] = {
@@ -125,6 +133,23 @@ ATTACHMENTS = {
 
 POINT = np.dtype([(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue", "alpha")])
 """One packed point of a `foxglove.PointCloud`."""
+
+
+def as_recorded(trajectory: ObjectTrajectory) -> ObjectTrajectory:
+    """Its large arrays rounded, so that they compress."""
+    size = float(np.ptp(trajectory.positions[0], axis=0).max()) if trajectory.positions.size else 0.0
+    step = min(FINEST, 2.0 ** (math.floor(math.log2(size)) - 13)) if size > 0 else FINEST
+    gradient = trajectory.deformation_gradient
+    return replace(
+        trajectory,
+        positions=rounded(trajectory.positions, step),
+        deformation_gradient=None if gradient is None else rounded(gradient, STRAIN),
+    )
+
+
+def rounded(array: Array, step: float) -> Array:
+    """To multiples of a power of two: the last bits are zero."""
+    return np.rint(array / step) * np.asarray(step, array.dtype)
 
 
 def array_fields(array: Array) -> dict[str, Any]:

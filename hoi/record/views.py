@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from hoi.body.skeleton import JOINT_NAMES, PARENTS
 from hoi.data import Array, Contact, Motion, Run
 from hoi.gaussians import colours
-from hoi.record.schemas import POINT
+from hoi.record.schemas import POINT, SHOWN, rounded
 
 WORLD, CAMERA = "world", "camera"
 UPRIGHT = (0, 0, 0, 1)
@@ -124,7 +124,7 @@ def _frame(name: str, position: Array, xyzw: ArrayLike = UPRIGHT, parent: str = 
 def _points(time: int, positions: Array, rgb: Array) -> bytes:
     packed = np.zeros(len(positions), POINT)
     for axis, name in enumerate("xyz"):
-        packed[name] = positions[:, axis]
+        packed[name] = rounded(positions[:, axis], SHOWN)
     for channel, name in enumerate(("red", "green", "blue")):
         packed[name] = np.rint(np.clip(rgb[:, channel], 0, 1) * 255)
     packed["alpha"] = 255

@@ -3,6 +3,7 @@
 import heapq
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hoi.files import whole_file
 from hoi.record.camera import Footage, poses
 from hoi.record.camera import messages as camera_messages
 from hoi.record.parts import history_to_csv, scene_files, to_json
-from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, ObjectState, array_fields, channels
+from hoi.record.schemas import FORMAT, MOTION_ARRAYS, OBJECT_ARRAYS, ObjectState, array_fields, as_recorded, channels
 from hoi.record.views import timestamp, views
 
 _REFUSED = ("; out must be a folder that can be written to", "set out elsewhere")
@@ -61,6 +62,8 @@ def write(
         raise ValueError("human_points and human_colours go together")
     if footage is not None and footage.cameras and len(footage) != _frames(run):
         raise ValueError(f"a video of {len(footage)} pictures for a run of {_frames(run)} frames")
+    if state.trajectory is not None:
+        run = replace(run, state=replace(state, trajectory=as_recorded(state.trajectory)))
     with whole_file(path, *_REFUSED) as part, open(part, "wb") as file:
         writer = Writer(file)
         writer.start(library="hoi")
