@@ -23,7 +23,7 @@ from hoi.gradient.laws import BACKWARDS
 from hoi.mpm import rigid
 from hoi.mpm.damping import Damping
 from hoi.mpm.law import lame
-from hoi.mpm.solver import INSTANT, STEPS_A_LOOK, Simulation
+from hoi.mpm.solver import INSTANT, STEPS_A_LOOK, Launch, Simulation
 from hoi.mpm.state import centre_of_mass
 
 
@@ -153,14 +153,13 @@ class Recording(Simulation):
         super().step_towards(until, span)
         self.launches[-1].end = self.time
 
-    def _launch(self, steps: int, dt: float, origin: Any, shape: Any, *, near: bool = False, touching: bool = False,
-                idle: bool = False, coupled: bool = False) -> int:  # fmt: skip
+    def _launch(self, launch: Launch, *, idle: bool = False) -> int:
         if idle:
-            return super()._launch(steps, dt, origin, shape, idle=True)
+            return super()._launch(launch, idle=True)
         if len(self.launches) % self.spacing == 0:
             self._checkpoint()
-        done = super()._launch(steps, dt, origin, shape, near=near, touching=touching)
-        self.launches.append(_Launch(done, dt, origin, shape, near, touching))
+        done = super()._launch(launch)
+        self.launches.append(_Launch(done, launch.dt, launch.origin, launch.shape, launch.near, launch.touching))
         return done
 
     def _checkpoint(self) -> None:

@@ -63,9 +63,9 @@ class Course(Walk):
 
     def _leave_mpm(self, phase: str, energy: float) -> None:
         super()._leave_mpm(phase, energy)
-        flight = self._path if phase == "flight" else None
+        flight = self.path if phase == "flight" else None
         assert flight is None or isinstance(flight, Flight)
-        self.passed.append(_Phase(self.time, flight=flight, departed=self._state))
+        self.passed.append(_Phase(self.time, flight=flight, departed=self.here))
 
     def backwards(self, cotangents: Sequence[tuple[float, Cotangent]]) -> Gradient:
         """The gradient of a number, given its derivatives with respect to the states at some times.

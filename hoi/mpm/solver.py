@@ -53,6 +53,8 @@ class Launch:
     """Its nodes along each axis, (3,)."""
     near: bool
     """Whether anything solid may be touched."""
+    touching: bool
+    """Whether it is now: the object does not fall freely."""
     coupled: bool
     """Whether the partner is near."""
     arrays: tuple[Any, ...]
@@ -507,7 +509,7 @@ class Simulation:
                   self.touched, self.given)  # fmt: skip
         numbers = (_vector(self.gravity), _vector(drift), dt, self.dx, 1 / self.dx, self.tolerance,
                    _vector(origin, int), _vector(shape, int))  # fmt: skip
-        return Launch(steps, dt, origin, shape, near, coupled, arrays, numbers, parts, body)
+        return Launch(steps, dt, origin, shape, near, touching, coupled, arrays, numbers, parts, body)
 
     def _launch(self, launch: Launch, *, idle: bool = False) -> int:
         """Does its steps, none if `idle`: how many were done."""
