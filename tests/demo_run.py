@@ -26,6 +26,7 @@ from hoi.data import (
     Target,
 )
 from hoi.gaussians import fibonacci_sphere
+from hoi.record.schemas import as_recorded
 
 LEFT = {"hip": (0.09, -0.08, 0), "knee": (0.1, -0.48, 0), "ankle": (0.1, -0.88, -0.03), "foot": (0.12, -0.94, 0.1)}
 LEFT |= {"collar": (0.08, 0.40, 0), "shoulder": (0.18, 0.42, 0), "elbow": (0.45, 0.42, 0), "wrist": (0.70, 0.42, 0)}
@@ -181,13 +182,15 @@ def make_run(
     mass = float(thing.masses.sum())
     kinetic = 0.5 * mass * (speed**2).sum(1)
     energy = np.stack([kinetic, 0.05 * kinetic, mass * 9.81 * com[:, 2]], -1)
-    trajectory = ObjectTrajectory(
-        positions=moved.astype(np.float32),
-        com=com.astype(np.float32),
-        com_velocity=speed.astype(np.float32),
-        energy=energy,
-        deformation_gradient=np.repeat(gradient[:, None], particles, 1).astype(np.float32),
-        phase=tuple("rest" if t <= 0 else "mpm" for t in time[:, 0]),
+    trajectory = as_recorded(
+        ObjectTrajectory(
+            positions=moved.astype(np.float32),
+            com=com.astype(np.float32),
+            com_velocity=speed.astype(np.float32),
+            energy=energy,
+            deformation_gradient=np.repeat(gradient[:, None], particles, 1).astype(np.float32),
+            phase=tuple("rest" if t <= 0 else "mpm" for t in time[:, 0]),
+        )
     )
     normal = np.array([0.05, 0.93, 0.36])
     normal /= np.linalg.norm(normal)

@@ -12,7 +12,6 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 
 from hoi.data import Array
 from hoi.errors import InputError
@@ -129,6 +128,8 @@ def read_captions(prior: Path) -> Captions | None:
 
 @cache
 def _read(path: Path) -> Captions | None:
+    from safetensors import SafetensorError, safe_open
+
     try:
         with safe_open(path, framework="np") as file:
             embeddings, told = file.get_tensor("embeddings").astype(np.float32), file.metadata()

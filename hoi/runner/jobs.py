@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from hoi.method.attraction import REACHED, Batch
 from hoi.method.optimization import RECALLED, Walk, computed_anew
 from hoi.plan import format_plan
 from hoi.record import Footage, write
+from hoi.record.schemas import as_recorded
 from hoi.reports import Bar, Stages, no_bar
 from hoi.runner.provenance import provenance
 from hoi.runner.scene import build_scene
@@ -166,11 +167,13 @@ def finish(walk: Walk, number: int, job: Job, failure: Exception | None, shared:
 
 
 def so_far(walk: Walk, number: int, job: Job, result: dict[str, str]) -> Run:
-    """A run of the walk, as far as it has come."""
-    stages = walk.stages[number]
+    """A run of the walk, as far as it has come; its object as a record keeps it, so that what is shown is recorded."""
+    stages, state = walk.stages[number], walk.states[number]
+    if state.trajectory is not None:
+        state = replace(state, trajectory=as_recorded(state.trajectory))
     return Run(
         job.config_yaml, job.provenance, result, walk.plan, tuple(stages.reports), tuple(stages.history),
-        walk.batch.scenes[number], walk.states[number],
+        walk.batch.scenes[number], state,
     )  # fmt: skip
 
 
