@@ -10,7 +10,7 @@ from mpm_bodies import DX, block
 
 from hoi.data import Material, ObjectState, Plane
 from hoi.errors import InputError, RunError
-from hoi.gradient.backwards import Cotangent, Gradient, Recording, differentiate
+from hoi.gradient.backwards import Cotangent, Gradient, Recording, _Backwards, differentiate
 from hoi.mpm.collider import Collider
 from hoi.mpm.phases import reach_of
 from hoi.mpm.solver import Simulation, ground_plane, simulate
@@ -152,7 +152,7 @@ def test_float32_agrees_with_float64(case) -> None:
 
 
 def test_it_is_the_solver_bit_by_bit() -> None:
-    """Recorded or not, and taken again from a checkpoint, the steps are the same."""
+    """Recorded or not, the steps are the same."""
     state, material, until, settings = setup(**BOUNCE)
     run, plain = Recording(state, VOLUMES, material, **settings), Simulation(state, VOLUMES, material, **settings)
     run.advance(until / 2)
@@ -165,6 +165,22 @@ def test_it_is_the_solver_bit_by_bit() -> None:
     one, two = (run.backwards([(until, Cotangent(positions=X))]) for _ in range(2))
     np.testing.assert_array_equal(one.positions, two.positions)
     assert np.linalg.norm(one.positions) > 0
+
+
+@pytest.mark.parametrize("case", [FLIGHT, BOUNCE, PRESS], ids=["flight", "bounce", "press"])
+def test_steps_taken_again_from_a_checkpoint_are_the_same_to_the_bit(case: dict[str, Any]) -> None:
+    """What goes backwards are the steps of the run: each stretch ends where the next one starts."""
+    state, material, until, settings = setup(**case)
+    run = Recording(state, VOLUMES, material, **settings)
+    run.advance(until)
+    last = [array.to_numpy() for array in (run.x, run.v, run.c, run.f, run.play)]
+    parts, back = run._parts(), _Backwards(run)
+    ends = [*(run.checkpoints[start] for start, _ in parts[1:]), last]
+    for (start, launches), end in zip(parts, ends, strict=True):
+        back.replay(run.checkpoints[start], launches)
+        for again, once in zip(back.state, end, strict=True):
+            np.testing.assert_array_equal(again.to_numpy(), once)
+    assert any((now != then).any() for now, then in zip(last, run.checkpoints[0], strict=True)), "it moved"
 
 
 def test_two_materials_each_get_their_own() -> None:
